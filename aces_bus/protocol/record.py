@@ -115,6 +115,9 @@ class Unknown(Record, frozen=True, gc=False):
     reason: str
     meta: Meta  # pyright: ignore[reportIncompatibleMethodOverride]  # a field, as it is at hand
 
+    if TYPE_CHECKING:
+        __getattr__: ClassVar[None]  # type: ignore[assignment,misc]  # it has no other fields
+
     @property
     def kind(self) -> str:
         """The bin of the accounting that this falls into."""

@@ -15,6 +15,7 @@ from ..device.drivers import Driver, load_driver
 from ..device.events import EventLog
 from ..device.host import BUDGET
 from ..device.port import Port
+from ..device.signals import Signal
 from ..errors import CallerError
 from ..hardware.can import CanGate
 from ..hardware.datagram import DatagramGate
@@ -209,17 +210,17 @@ class VirtualRobot:
             for bus, wire in self.wires.items()
         }
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> Signal:
         """Return the signal of this name ("RHY.position"); raises `UnknownNameError`."""
         return self.rig[name]
 
     @property
-    def devices(self) -> Any:
+    def devices(self) -> Mapping[str, Any]:
         """The devices, by name."""
         return self.rig.devices
 
     @property
-    def twins(self) -> Any:
+    def twins(self) -> Mapping[str, Any]:
         """The twins, by name."""
         return self.simulation.twins
 

@@ -99,10 +99,11 @@ def test_the_recording_goes_through_the_driver(shared_captures: Path) -> None:
             sums[number] += value
             count += number == 0
 
+        def listen(number: int) -> None:
+            robot[f"ADC.channel_{number + 1}"].listeners.append(lambda value, now: add(number, value))
+
         for number in range(3):
-            robot[f"ADC.channel_{number + 1}"].listeners.append(
-                lambda value, now, number=number: add(number, value)
-            )
+            listen(number)
         for at in range(0, len(data), 1000):
             robot.simulation.buses["adc"].port.send(data[at : at + 1000])
         robot.advance(10)

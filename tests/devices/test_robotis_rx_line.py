@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -94,10 +95,14 @@ def measure(
         before(robot)
     robot.advance(0.3)
     reads: Counter[str] = Counter(dict.fromkeys(robot.robot.joints, 0))
+
+    def count(change: int, name: str, value: Any, now: int) -> None:
+        reads[name] += change
+
     for name in robot.robot.joints:
-        robot[f"{name}.position"].listeners.append(lambda value, now, name=name: reads.update((name,)))
+        robot[f"{name}.position"].listeners.append(partial(count, 1, name))
         # The read of the whole RAM, once a second, has the position too; it does not count here.
-        robot[f"{name}.enabled"].listeners.append(lambda value, now, name=name: reads.subtract((name,)))
+        robot[f"{name}.enabled"].listeners.append(partial(count, -1, name))
     counts = robot.rig.hosts["servos"].counts
     syncs, ticks = counts.set_points, counts.ticks
     whole = round(seconds * rate_hz) / rate_hz

@@ -55,7 +55,9 @@ def told(robot: VirtualRobot, kind: str, device: str) -> str:
 def still_lives(robot: VirtualRobot) -> None:
     """The other boards are as fresh as before."""
     assert robot[f"{OTHER}.position"].value is not UNKNOWN
-    assert robot[f"{OTHER}.position"].age_ns <= 3 * 1e9 / RATE
+    age_ns = robot[f"{OTHER}.position"].age_ns
+    assert age_ns is not None
+    assert age_ns <= 3 * 1e9 / RATE
     assert not robot.events.failures
     assert not robot.events.of("bug")
 
@@ -70,7 +72,9 @@ def test_a_lost_reply(robot: VirtualRobot) -> None:
     ages: list[int] = []
     for _ in range(100):
         robot.advance(1 / RATE)
-        ages.append(robot[f"{JOINT}.position"].age_ns)
+        age_ns = robot[f"{JOINT}.position"].age_ns
+        assert age_ns is not None
+        ages.append(age_ns)
     assert host.counts.repeated > repeated
     assert max(ages) <= 2 * 1e9 / RATE
     assert robot[f"{JOINT}.position"].value is not UNKNOWN
@@ -203,6 +207,7 @@ def test_late_answers(robot: VirtualRobot) -> None:
     robot.advance(1.0)
     assert kinds(robot, BOARD) & {"late reply", "silent"}
     position = robot[f"{JOINT}.position"]
+    assert position.instant is not None
     assert position.instant <= robot.clock.now()
     still_lives(robot)
 

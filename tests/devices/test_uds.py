@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,11 @@ from aces_devices.uds.table import IdentifierEntry, UdsValue, identifiers_of
 from aces_devices.uds.twin import UdsRefusal
 
 test_uds = driver_tests(driver)
+
+
+def noted(note: Callable[[Any], object], value: Any, now: int) -> None:
+    """Listen to a signal: note its value, not when."""
+    note(value)
 
 
 def car(settings: str = "", more: str = "") -> VirtualRobot:
@@ -235,7 +242,7 @@ def test_a_late_answer_passes_for_no_other() -> None:
             twin.put("last", 222)
             seen: dict[str, set[Any]] = {"limit": set(), "last": set()}
             for name, values in seen.items():
-                robot[f"ENGINE.{name}"].listeners.append(lambda value, now, values=values: values.add(value))
+                robot[f"ENGINE.{name}"].listeners.append(partial(noted, values.add))
             twin.fault("late", late_s)
             robot.advance(4.0)
             assert seen["limit"] <= {111, UNKNOWN}

@@ -106,4 +106,6 @@ def test_a_servo_behind_a_gear_has_the_joints_angles() -> None:
             assert world.joints["J"].position(made.clock.now()) == pytest.approx(-0.3, abs=0.02)
             angle = made.twins["S1"]["present_position"] * 300 / 1023
             assert angle == pytest.approx((0.3 + 1.0) * ratio * 180 / pi, abs=2)
+            assert made["J"].upper is not None
+            assert made["J"].lower is not None
             assert made["J"].upper - made["J"].lower == pytest.approx(300 * pi / 180 / ratio, rel=0.01)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import assert_type
+from typing import TYPE_CHECKING, assert_type
 
 from aces_bus.protocol import Record
 from aces_protocols.robotis.records import Read, Status, robotis
@@ -18,6 +18,9 @@ def described(record: Record) -> str:
             return f"{servo}: {'overload' if error.overload else parameters.hex()}"
         case Read():
             assert_type(record.start, int)
+            # A misspelt field is an error: without one, checkers would say that this comment is not needed.
+            if TYPE_CHECKING:
+                print(record.strat)  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
             return f"{record.id} reads {record.count} from {record.start:#x}"
         case _:
             return "?"

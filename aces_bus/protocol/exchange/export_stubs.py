@@ -3,6 +3,7 @@
 1. The same protocol gives the same text, byte for byte.
 2. A message that several dialects have in different forms is one class with the fields of all.
 3. Types are as exact as the plan: enumerations by name, flags one by one; `Any` only where construct decodes.
+4. A field that a message does not have is an error: `_Typed` takes back that a `Record` may have any.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from ..protocol import Protocol
 WORDS = frozenset(
     [
         "Any",
+        "ClassVar",
         "Literal",
         "FlagSet",
         "Part",
@@ -60,8 +62,8 @@ def print_stub(protocol: Protocol, variable: str) -> str:
     body = out.text()
     typing = [
         name
-        for name in ("Any", "Literal")
-        if f"{name}[" in body or f": {name}\n" in body or f"{name} |" in body
+        for name in ("Any", "ClassVar", "Literal")
+        if name == "ClassVar" or f"{name}[" in body or f": {name}\n" in body or f"{name} |" in body
     ]
     ours = [
         name
@@ -78,15 +80,15 @@ def print_stub(protocol: Protocol, variable: str) -> str:
         "# fmt: off",
         "",
     )
-    if typing:
-        head.lines(
-            f"from typing import {', '.join(typing)}",
-            "",
-        )
     head.lines(
+        f"from typing import {', '.join(typing)}",
+        "",
         f"from aces_bus.protocol import {', '.join(ours)}",
         "",
         f"{variable}: Protocol",
+        "",
+        "class _Typed(Record, frozen=True):",
+        "    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]",
     )
     return head.text() + body
 
@@ -138,7 +140,7 @@ class _Printer:
                 self.out.line(line)
         self.out.lines(
             "",
-            f"class {name}(Record, frozen=True):",
+            f"class {name}(_Typed, frozen=True):",
         )
         self.out.depth += 1
         self._doc(_message_doc(messages))

@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Protocol, Record
 
 canopen: Protocol
 
-class Nmt(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class Nmt(_Typed, frozen=True):
     """Network management: have a node, or all (0), start, stop, go pre-operational, or reset.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -16,20 +19,20 @@ class Nmt(Record, frozen=True):
     command: Literal["start", "stop", "pre_operational", "reset_node", "reset_communication"] | int
     node: int
 
-class Sync(Record, frozen=True):
+class Sync(_Typed, frozen=True):
     """Synchronous PDOs are sampled, sent and applied now.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
     """
 
-class SyncCounter(Record, frozen=True):
+class SyncCounter(_Typed, frozen=True):
     """SYNC with a counter, 1 to 240.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
     """
     counter: int
 
-class Time(Record, frozen=True):
+class Time(_Typed, frozen=True):
     """Time of day, and days since 1 January 1984.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -50,7 +53,7 @@ class _Emergency_register(FlagSet):
     profile: bool
     manufacturer: bool
 
-class Emergency(Record, frozen=True):
+class Emergency(_Typed, frozen=True):
     """An error, once, when it occurs; 0x00xx: it is over. `register` is object 1001.
 
     from device; source: CiA 301 (canopen; ros2_canopen)
@@ -61,7 +64,7 @@ class Emergency(Record, frozen=True):
     register: _Emergency_register
     details: bytes
 
-class Heartbeat(Record, frozen=True):
+class Heartbeat(_Typed, frozen=True):
     """A node's state: when it has booted, then again and again; also the host's, for nodes that watch over it. `toggle` alternates in answers to node guarding only.
 
     source: CiA 301 (canopen; ros2_canopen)
@@ -71,7 +74,7 @@ class Heartbeat(Record, frozen=True):
     state: Literal["boot_up", "stopped", "operational", "sleep", "standby", "pre_operational"] | int
     toggle: int
 
-class GuardRequest(Record, frozen=True):
+class GuardRequest(_Typed, frozen=True):
     """Node guarding: what is your state?
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -79,7 +82,7 @@ class GuardRequest(Record, frozen=True):
     node: int
     """node id"""
 
-class LssRequest(Record, frozen=True):
+class LssRequest(_Typed, frozen=True):
     """Layer setting services: gives nodes their number and bit rate. The services themselves are not taken apart.
 
     to device; source: CiA 301, identifiers only (canopen)
@@ -87,7 +90,7 @@ class LssRequest(Record, frozen=True):
     command: int
     details: bytes
 
-class LssAnswer(Record, frozen=True):
+class LssAnswer(_Typed, frozen=True):
     """What an LSS request is answered with.
 
     from device; source: CiA 301, identifiers only (canopen)
@@ -95,7 +98,7 @@ class LssAnswer(Record, frozen=True):
     command: int
     details: bytes
 
-class Tpdo1(Record, frozen=True):
+class Tpdo1(_Typed, frozen=True):
     """Process data of the device, number 1: lowest bit first, as object 1A00 says.
 
     from device; source: CiA 301 (canopen; ros2_canopen)
@@ -104,7 +107,7 @@ class Tpdo1(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Tpdo2(Record, frozen=True):
+class Tpdo2(_Typed, frozen=True):
     """Process data of the device, number 2: lowest bit first, as object 1A01 says.
 
     from device; source: CiA 301 (canopen; ros2_canopen)
@@ -113,7 +116,7 @@ class Tpdo2(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Tpdo3(Record, frozen=True):
+class Tpdo3(_Typed, frozen=True):
     """Process data of the device, number 3: lowest bit first, as object 1A02 says.
 
     from device; source: CiA 301 (canopen; ros2_canopen)
@@ -122,7 +125,7 @@ class Tpdo3(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Tpdo4(Record, frozen=True):
+class Tpdo4(_Typed, frozen=True):
     """Process data of the device, number 4: lowest bit first, as object 1A03 says.
 
     from device; source: CiA 301 (canopen; ros2_canopen)
@@ -131,7 +134,7 @@ class Tpdo4(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Rpdo1(Record, frozen=True):
+class Rpdo1(_Typed, frozen=True):
     """Process data for the device, number 1: lowest bit first, as object 1600 says.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -140,7 +143,7 @@ class Rpdo1(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Rpdo2(Record, frozen=True):
+class Rpdo2(_Typed, frozen=True):
     """Process data for the device, number 2: lowest bit first, as object 1601 says.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -149,7 +152,7 @@ class Rpdo2(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Rpdo3(Record, frozen=True):
+class Rpdo3(_Typed, frozen=True):
     """Process data for the device, number 3: lowest bit first, as object 1602 says.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -158,7 +161,7 @@ class Rpdo3(Record, frozen=True):
     """node id"""
     data: bytes
 
-class Rpdo4(Record, frozen=True):
+class Rpdo4(_Typed, frozen=True):
     """Process data for the device, number 4: lowest bit first, as object 1603 says.
 
     to device; source: CiA 301 (canopen; ros2_canopen)
@@ -167,7 +170,7 @@ class Rpdo4(Record, frozen=True):
     """node id"""
     data: bytes
 
-class SdoUpload(Record, frozen=True):
+class SdoUpload(_Typed, frozen=True):
     """Read an object.
 
     to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -178,7 +181,7 @@ class SdoUpload(Record, frozen=True):
     subindex: int
     reserved: bytes
 
-class SdoUploadSegment(Record, frozen=True):
+class SdoUploadSegment(_Typed, frozen=True):
     """The next seven bytes of what is read, please.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -189,7 +192,7 @@ class SdoUploadSegment(Record, frozen=True):
     """alternates from segment to segment"""
     reserved: bytes
 
-class SdoDownload(Record, frozen=True):
+class SdoDownload(_Typed, frozen=True):
     """Write an object of up to four bytes.
 
     to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -204,7 +207,7 @@ class SdoDownload(Record, frozen=True):
     subindex: int
     data: bytes
 
-class SdoDownloadStart(Record, frozen=True):
+class SdoDownloadStart(_Typed, frozen=True):
     """Write an object of more than four bytes; segments follow.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -218,7 +221,7 @@ class SdoDownloadStart(Record, frozen=True):
     size: int
     """0…4294967295 B"""
 
-class SdoDownloadSegment(Record, frozen=True):
+class SdoDownloadSegment(_Typed, frozen=True):
     """Seven bytes of what is written, less those that are unused.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -233,7 +236,7 @@ class SdoDownloadSegment(Record, frozen=True):
     """alternates from segment to segment"""
     data: bytes
 
-class SdoAbort(Record, frozen=True):
+class SdoAbort(_Typed, frozen=True):
     """The transfer ends here: who asked has given up.
 
     to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -244,7 +247,7 @@ class SdoAbort(Record, frozen=True):
     subindex: int
     code: Literal["toggle", "timeout", "command", "block_size", "sequence", "crc", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
 
-class SdoDownloadTransfer(Record, frozen=True):
+class SdoDownloadTransfer(_Typed, frozen=True):
     """An object that was written in segments; the time is that of the last one.
 
     to device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -257,7 +260,7 @@ class SdoDownloadTransfer(Record, frozen=True):
     subindex: int
     data: bytes
 
-class SdoUploaded(Record, frozen=True):
+class SdoUploaded(_Typed, frozen=True):
     """An object of up to four bytes.
 
     from device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -272,7 +275,7 @@ class SdoUploaded(Record, frozen=True):
     subindex: int
     data: bytes
 
-class SdoUploadStarted(Record, frozen=True):
+class SdoUploadStarted(_Typed, frozen=True):
     """An object of more than four bytes; ask for its segments.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -286,7 +289,7 @@ class SdoUploadStarted(Record, frozen=True):
     size: int
     """0…4294967295 B"""
 
-class SdoUploadedSegment(Record, frozen=True):
+class SdoUploadedSegment(_Typed, frozen=True):
     """Seven bytes of what is read, less those that are unused.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -301,7 +304,7 @@ class SdoUploadedSegment(Record, frozen=True):
     """alternates from segment to segment"""
     data: bytes
 
-class SdoDownloaded(Record, frozen=True):
+class SdoDownloaded(_Typed, frozen=True):
     """The object is written, or may be sent in segments.
 
     from device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -312,7 +315,7 @@ class SdoDownloaded(Record, frozen=True):
     subindex: int
     reserved: bytes
 
-class SdoDownloadedSegment(Record, frozen=True):
+class SdoDownloadedSegment(_Typed, frozen=True):
     """A segment has been taken.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -323,7 +326,7 @@ class SdoDownloadedSegment(Record, frozen=True):
     """alternates from segment to segment"""
     reserved: bytes
 
-class SdoAborted(Record, frozen=True):
+class SdoAborted(_Typed, frozen=True):
     """The transfer ends here: the device refuses.
 
     from device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -334,7 +337,7 @@ class SdoAborted(Record, frozen=True):
     subindex: int
     code: Literal["toggle", "timeout", "command", "block_size", "sequence", "crc", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
 
-class SdoUploadTransfer(Record, frozen=True):
+class SdoUploadTransfer(_Typed, frozen=True):
     """An object that was read in segments; the time is that of the last one.
 
     from device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -347,7 +350,7 @@ class SdoUploadTransfer(Record, frozen=True):
     subindex: int
     data: bytes
 
-class SdoBlockUpload(Record, frozen=True):
+class SdoBlockUpload(_Typed, frozen=True):
     """Read an object in blocks of so many segments; one of up to `switch` bytes may come otherwise.
 
     to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -362,7 +365,7 @@ class SdoBlockUpload(Record, frozen=True):
     switch: int
     reserved: bytes
 
-class SdoBlockDownload(Record, frozen=True):
+class SdoBlockDownload(_Typed, frozen=True):
     """Write an object in blocks.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -378,7 +381,7 @@ class SdoBlockDownload(Record, frozen=True):
     size: int
     """0…4294967295 B"""
 
-class SdoBlockDownloadEnd(Record, frozen=True):
+class SdoBlockDownloadEnd(_Typed, frozen=True):
     """All is written; so many bytes of the last segment are none.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -390,7 +393,7 @@ class SdoBlockDownloadEnd(Record, frozen=True):
     crc: int
     reserved: bytes
 
-class SdoBlockUploadGo(Record, frozen=True):
+class SdoBlockUploadGo(_Typed, frozen=True):
     """Segments of what is read, please.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -399,7 +402,7 @@ class SdoBlockUploadGo(Record, frozen=True):
     """node id"""
     reserved: bytes
 
-class SdoBlockUploadTaken(Record, frozen=True):
+class SdoBlockUploadTaken(_Typed, frozen=True):
     """Segments up to this one are taken; how many may follow.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -410,7 +413,7 @@ class SdoBlockUploadTaken(Record, frozen=True):
     block_size: int
     reserved: bytes
 
-class SdoBlockUploaded(Record, frozen=True):
+class SdoBlockUploaded(_Typed, frozen=True):
     """The object has been read.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -419,7 +422,7 @@ class SdoBlockUploaded(Record, frozen=True):
     """node id"""
     reserved: bytes
 
-class SdoBlockDownloadStarted(Record, frozen=True):
+class SdoBlockDownloadStarted(_Typed, frozen=True):
     """The object may be sent in blocks of so many segments.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -433,7 +436,7 @@ class SdoBlockDownloadStarted(Record, frozen=True):
     block_size: int
     reserved: bytes
 
-class SdoBlockDownloadTaken(Record, frozen=True):
+class SdoBlockDownloadTaken(_Typed, frozen=True):
     """Segments up to this one are taken; how many may follow.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -444,7 +447,7 @@ class SdoBlockDownloadTaken(Record, frozen=True):
     block_size: int
     reserved: bytes
 
-class SdoBlockDownloaded(Record, frozen=True):
+class SdoBlockDownloaded(_Typed, frozen=True):
     """The object has been written.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -453,7 +456,7 @@ class SdoBlockDownloaded(Record, frozen=True):
     """node id"""
     reserved: bytes
 
-class SdoBlockUploadStarted(Record, frozen=True):
+class SdoBlockUploadStarted(_Typed, frozen=True):
     """The object comes in blocks.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -469,7 +472,7 @@ class SdoBlockUploadStarted(Record, frozen=True):
     size: int
     """0…4294967295 B"""
 
-class SdoBlockUploadEnd(Record, frozen=True):
+class SdoBlockUploadEnd(_Typed, frozen=True):
     """All is read; so many bytes of the last segment are none.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -481,7 +484,7 @@ class SdoBlockUploadEnd(Record, frozen=True):
     crc: int
     reserved: bytes
 
-class SdoBlockSegment(Record, frozen=True):
+class SdoBlockSegment(_Typed, frozen=True):
     """Seven bytes of a block, where the first byte is no other frame's.
 
     to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -492,7 +495,7 @@ class SdoBlockSegment(Record, frozen=True):
     """its number in the block, and 128 more in the last one"""
     data: bytes
 
-class SdoBlockUploadedSegment(Record, frozen=True):
+class SdoBlockUploadedSegment(_Typed, frozen=True):
     """Seven bytes of a block, where the first byte is no other frame's.
 
     from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
@@ -503,7 +506,7 @@ class SdoBlockUploadedSegment(Record, frozen=True):
     """its number in the block, and 128 more in the last one"""
     data: bytes
 
-class SdoBlockDownloadTransfer(Record, frozen=True):
+class SdoBlockDownloadTransfer(_Typed, frozen=True):
     """An object that was written in blocks; the time is that of the last frame.
 
     to device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
@@ -518,7 +521,7 @@ class SdoBlockDownloadTransfer(Record, frozen=True):
     subindex: int
     data: bytes
 
-class SdoBlockUploadTransfer(Record, frozen=True):
+class SdoBlockUploadTransfer(_Typed, frozen=True):
     """An object that was read in blocks; the time is that of the last frame.
 
     from device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)

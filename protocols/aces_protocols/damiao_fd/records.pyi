@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import Protocol, Record
 
 damiao_fd: Protocol
 
-class Command(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class Command(_Typed, frozen=True):
     """Torque = kp × (position error) + kd × (velocity error) + torque.
 
     to device; dialects 4310, 4340, 8009, share; source: motorcontrol can.c, unpack_cmd; python-damiao-driver motor.py
@@ -23,7 +26,7 @@ class Command(Record, frozen=True):
     """0…5 N·m·s/rad"""
     torque: float
 
-class Feedback(Record, frozen=True):
+class Feedback(_Typed, frozen=True):
     """The answer to every command.
 
     from device; dialects 4310, 4340, 8009, share; source: python-damiao-driver motor.py
@@ -41,7 +44,7 @@ class Feedback(Record, frozen=True):
     rotor_temperature: int
     """0…255 °C"""
 
-class Enable(Record, frozen=True):
+class Enable(_Typed, frozen=True):
     """Switch the motor on.
 
     to device; source: motorcontrol main.c; DM_CAN.py
@@ -49,7 +52,7 @@ class Enable(Record, frozen=True):
     motor: int
     """its number (register 8); a feedback has room for four bits"""
 
-class Disable(Record, frozen=True):
+class Disable(_Typed, frozen=True):
     """Switch the motor off.
 
     to device; source: motorcontrol main.c; DM_CAN.py
@@ -57,7 +60,7 @@ class Disable(Record, frozen=True):
     motor: int
     """its number (register 8); a feedback has room for four bits"""
 
-class SetZero(Record, frozen=True):
+class SetZero(_Typed, frozen=True):
     """The present position becomes zero.
 
     to device; source: motorcontrol main.c; DM_CAN.py
@@ -65,7 +68,7 @@ class SetZero(Record, frozen=True):
     motor: int
     """its number (register 8); a feedback has room for four bits"""
 
-class ClearError(Record, frozen=True):
+class ClearError(_Typed, frozen=True):
     """Clear the error.
 
     to device; source: motorcontrol main.c; DM_CAN.py
@@ -73,7 +76,7 @@ class ClearError(Record, frozen=True):
     motor: int
     """its number (register 8); a feedback has room for four bits"""
 
-class PositionVelocity(Record, frozen=True):
+class PositionVelocity(_Typed, frozen=True):
     """Go to a position, no faster than the limit.
 
     to device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -85,7 +88,7 @@ class PositionVelocity(Record, frozen=True):
     velocity_limit: float
     """rad/s"""
 
-class Velocity(Record, frozen=True):
+class Velocity(_Typed, frozen=True):
     """Turn so fast.
 
     to device; source: DM_CAN.py; openarm_can dm_motor_control.cpp
@@ -96,7 +99,7 @@ class Velocity(Record, frozen=True):
     """rad/s"""
     padding: bytes
 
-class ForcePosition(Record, frozen=True):
+class ForcePosition(_Typed, frozen=True):
     """Go to a position with a limited share of the current.
 
     to device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -109,7 +112,7 @@ class ForcePosition(Record, frozen=True):
     """0…100 rad/s"""
     current_limit: float
 
-class ReadFloat(Record, frozen=True):
+class ReadFloat(_Typed, frozen=True):
     """Read a register.
 
     to device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -118,7 +121,7 @@ class ReadFloat(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     padding: bytes
 
-class ReadFloatReply(Record, frozen=True):
+class ReadFloatReply(_Typed, frozen=True):
     """What the register holds.
 
     from device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -129,7 +132,7 @@ class ReadFloatReply(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     value: float
 
-class ReadInteger(Record, frozen=True):
+class ReadInteger(_Typed, frozen=True):
     """Read a register.
 
     to device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -138,7 +141,7 @@ class ReadInteger(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     padding: bytes
 
-class ReadIntegerReply(Record, frozen=True):
+class ReadIntegerReply(_Typed, frozen=True):
     """What the register holds.
 
     from device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -149,7 +152,7 @@ class ReadIntegerReply(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     value: int
 
-class WriteFloat(Record, frozen=True):
+class WriteFloat(_Typed, frozen=True):
     """Write a register, until the motor is switched off.
 
     to device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -158,7 +161,7 @@ class WriteFloat(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     value: float
 
-class WriteFloatReply(Record, frozen=True):
+class WriteFloatReply(_Typed, frozen=True):
     """What the register holds.
 
     from device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -169,7 +172,7 @@ class WriteFloatReply(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     value: float
 
-class WriteInteger(Record, frozen=True):
+class WriteInteger(_Typed, frozen=True):
     """Write a register, until the motor is switched off.
 
     to device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -178,7 +181,7 @@ class WriteInteger(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     value: int
 
-class WriteIntegerReply(Record, frozen=True):
+class WriteIntegerReply(_Typed, frozen=True):
     """What the register holds.
 
     from device; source: DM_CAN.py; python-damiao-driver motor.py
@@ -189,7 +192,7 @@ class WriteIntegerReply(Record, frozen=True):
     register: Literal["under_voltage", "torque_constant", "over_temperature", "over_current", "acceleration", "deceleration", "max_speed", "master_id", "can_id", "timeout", "control_mode", "friction", "inertia", "hardware_version", "software_version", "serial_number", "pole_pairs", "resistance", "inductance", "flux", "gear_ratio", "position_max", "velocity_max", "torque_max", "current_bandwidth", "velocity_kp", "velocity_ki", "position_kp", "position_ki", "over_voltage", "gear_efficiency", "velocity_damping", "velocity_bandwidth", "current_gain", "velocity_gain", "baud_code", "sub_version", "u_offset", "v_offset", "k1", "k2", "angle_offset", "direction", "motor_angle_offset", "max_current", "supply_voltage", "board_temperature", "motor_temperature", "u_current_offset", "v_current_offset", "w_current_offset", "motor_position", "output_position"] | int
     value: int
 
-class Store(Record, frozen=True):
+class Store(_Typed, frozen=True):
     """Keep the registers for good; while the motor is off.
 
     to device; source: DM_CAN.py (0), python-damiao-driver (1)
@@ -198,7 +201,7 @@ class Store(Record, frozen=True):
     how: int
     padding: bytes
 
-class AskFeedback(Record, frozen=True):
+class AskFeedback(_Typed, frozen=True):
     """Ask for a feedback.
 
     to device; source: python-damiao-driver docs/concept, motor.py

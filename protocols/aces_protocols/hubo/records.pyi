@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Part, Protocol, Record
 
 hubo: Protocol
 
-class NameInfo(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class NameInfo(_Typed, frozen=True):
     """Set the command period, the home search limits and the z-phase references; asks for NameInfoReply.
 
     to device; dialects D08, D08X; source: X2; acesHubo config.ops (the sheet's length of 5 is not what was sent)
@@ -21,7 +24,7 @@ class NameInfo(Record, frozen=True):
     z_phase: tuple[int, int]
     """0…4095 count"""
 
-class NameInfo3(Record, frozen=True):
+class NameInfo3(_Typed, frozen=True):
     """NameInfo for a three-channel board; the last byte was always 0.
 
     to device; dialects D08, D08X; source: acesHubo config.ops
@@ -33,7 +36,7 @@ class NameInfo3(Record, frozen=True):
     """0…255 turn"""
     unused: bytes
 
-class NameInfo5(Record, frozen=True):
+class NameInfo5(_Typed, frozen=True):
     """NameInfo for a hand.
 
     to device; dialects D08, D08X; source: acesHubo config.ops
@@ -42,7 +45,7 @@ class NameInfo5(Record, frozen=True):
     period: int
     """0…255 ms"""
 
-class NameInfoSensor(Record, frozen=True):
+class NameInfoSensor(_Typed, frozen=True):
     """NameInfo for a sensor board; what its last five bytes mean is not known.
 
     to device; dialects D08, D08X; source: acesHubo config.ops
@@ -52,7 +55,7 @@ class NameInfoSensor(Record, frozen=True):
     """0…255 ms"""
     tail: bytes
 
-class GetBoardInfo(Record, frozen=True):
+class GetBoardInfo(_Typed, frozen=True):
     """Set the board's CAN period and ask what it is.
 
     to device; dialect D12; source: hubo-ach canID.h (never sent by its daemon)
@@ -61,7 +64,7 @@ class GetBoardInfo(Record, frozen=True):
     period: int
     """0…255 ms"""
 
-class SendStatus(Record, frozen=True):
+class SendStatus(_Typed, frozen=True):
     """Ask for the status. hubo-ach sends a third byte without meaning; leave it out.
 
     to device; dialects D08, D08X, D12; source: X2; hubo-ach; HuboCan
@@ -69,14 +72,14 @@ class SendStatus(Record, frozen=True):
     board: int
     rest: bytes
 
-class SendEncoderD08(Record, frozen=True):
+class SendEncoderD08(_Typed, frozen=True):
     """Ask for the encoder positions.
 
     to device; dialects D08, D08X; source: X2; acesHubo
     """
     board: int
 
-class SendEncoder(Record, frozen=True):
+class SendEncoder(_Typed, frozen=True):
     """Ask for the encoder positions; `upper` are channels 3 and 4 of a five-channel board.
 
     to device; dialect D12; source: hubo-ach; HuboCan
@@ -84,21 +87,21 @@ class SendEncoder(Record, frozen=True):
     board: int
     selector: Literal["normal", "upper"] | int
 
-class SendCurrent(Record, frozen=True):
+class SendCurrent(_Typed, frozen=True):
     """Ask for the motor currents.
 
     to device; dialects D08, D08X, D12; source: X2; hubo-ach
     """
     board: int
 
-class SendPm(Record, frozen=True):
+class SendPm(_Typed, frozen=True):
     """Ask for the z-phase encoder values.
 
     to device; dialects D08, D08X; source: X2
     """
     board: int
 
-class EncoderZeroD08(Record, frozen=True):
+class EncoderZeroD08(_Typed, frozen=True):
     """Set encoders to zero.
 
     to device; dialects D08, D08X; source: X2 (X1 has the codes of a home search here)
@@ -106,7 +109,7 @@ class EncoderZeroD08(Record, frozen=True):
     board: int
     motor: Literal["all", "motor_1", "motor_2", "motor_3"] | int
 
-class EncoderZero(Record, frozen=True):
+class EncoderZero(_Typed, frozen=True):
     """Set encoders to zero; clears faults and error bits too.
 
     to device; dialect D12; source: hubo-ach
@@ -114,7 +117,7 @@ class EncoderZero(Record, frozen=True):
     board: int
     channel: Literal["channel_0", "channel_1", "channel_2", "channel_3", "channel_4", "all"] | int
 
-class PositionGainA(Record, frozen=True):
+class PositionGainA(_Typed, frozen=True):
     """Position gains of the first motor: roll on a three-channel board, all channels on one of D12.
 
     to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach
@@ -124,7 +127,7 @@ class PositionGainA(Record, frozen=True):
     ki: int
     kd: int
 
-class PositionGainB(Record, frozen=True):
+class PositionGainB(_Typed, frozen=True):
     """Position gains of the second motor: pitch and yaw on a three-channel board of D08.
 
     to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach
@@ -134,7 +137,7 @@ class PositionGainB(Record, frozen=True):
     ki: int
     kd: int
 
-class TorqueGainA(Record, frozen=True):
+class TorqueGainA(_Typed, frozen=True):
     """Torque (current) gains of the first motor.
 
     to device; dialects D08, D08X, D12; source: X2; hubo-ach
@@ -144,7 +147,7 @@ class TorqueGainA(Record, frozen=True):
     ki: int
     kd: int
 
-class TorqueGainB(Record, frozen=True):
+class TorqueGainB(_Typed, frozen=True):
     """Torque (current) gains of the second motor.
 
     to device; dialects D08, D08X, D12; source: X2; hubo-ach
@@ -154,7 +157,7 @@ class TorqueGainB(Record, frozen=True):
     ki: int
     kd: int
 
-class DriverSwitch(Record, frozen=True):
+class DriverSwitch(_Typed, frozen=True):
     """Switch the motor drivers (FETs); HIP enable in the sheet.
 
     to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach
@@ -162,7 +165,7 @@ class DriverSwitch(Record, frozen=True):
     board: int
     state: Literal["off", "on"] | int
 
-class GoHome(Record, frozen=True):
+class GoHome(_Typed, frozen=True):
     """Go home; the byte is the mode of a home search.
 
     to device; dialects D08, D08X; source: X2
@@ -173,21 +176,21 @@ class GoHome(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class ControlOn(Record, frozen=True):
+class ControlOn(_Typed, frozen=True):
     """Run: control the motors.
 
     to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach; HuboCan
     """
     board: int
 
-class ControlOff(Record, frozen=True):
+class ControlOff(_Typed, frozen=True):
     """Stop controlling the motors.
 
     to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach; HuboCan
     """
     board: int
 
-class ControlModeD08(Record, frozen=True):
+class ControlModeD08(_Typed, frozen=True):
     """What a reference means.
 
     to device; dialects D08, D08X; source: X2
@@ -195,7 +198,7 @@ class ControlModeD08(Record, frozen=True):
     board: int
     mode: Literal["position", "torque"] | int
 
-class ControlMode(Record, frozen=True):
+class ControlMode(_Typed, frozen=True):
     """What a reference means; `hybrid` is wrist position and finger current of a DRC-Hubo hand.
 
     to device; dialect D12; source: hubo-ach
@@ -203,7 +206,7 @@ class ControlMode(Record, frozen=True):
     board: int
     mode: Literal["position", "current", "hybrid"] | int
 
-class CurrentLimit(Record, frozen=True):
+class CurrentLimit(_Typed, frozen=True):
     """Limit of the motor current, in unknown units.
 
     to device; dialects D08, D08X; source: X2
@@ -211,7 +214,7 @@ class CurrentLimit(Record, frozen=True):
     board: int
     limit: int
 
-class SwitchingMode(Record, frozen=True):
+class SwitchingMode(_Typed, frozen=True):
     """How the bridge switches; non-complementary lets the motor wheel freely.
 
     to device; dialect D12; source: hubo-ach; RoboWorld2018
@@ -219,14 +222,14 @@ class SwitchingMode(Record, frozen=True):
     board: int
     mode: Literal["complementary", "non_complementary"] | int
 
-class SwitchingModeShort(Record, frozen=True):
+class SwitchingModeShort(_Typed, frozen=True):
     """SwitchingMode as hubo-ach sends it: its length of 2 drops the mode. Read only, do not send.
 
     to device; dialect D12; source: hubo-ach hubo-daemon.c
     """
     board: int
 
-class GetParameters(Record, frozen=True):
+class GetParameters(_Typed, frozen=True):
     """Ask for a parameter block: 20, 21, 22 are the board's; 6 × channel + n (+ 5 from channel 3 on) is block n.
 
     to device; dialect D12; source: hubo-ach
@@ -234,7 +237,7 @@ class GetParameters(Record, frozen=True):
     board: int
     selector: int
 
-class Alarm(Record, frozen=True):
+class Alarm(_Typed, frozen=True):
     """Sound the alarm.
 
     to device; dialect D12; source: hubo-ach
@@ -242,7 +245,7 @@ class Alarm(Record, frozen=True):
     board: int
     sound: Literal["off", "sound_1", "sound_2", "sound_3", "sound_4"] | int
 
-class Beep(Record, frozen=True):
+class Beep(_Typed, frozen=True):
     """Beep for a time.
 
     to device; dialect D12; source: hubo-ach
@@ -251,14 +254,14 @@ class Beep(Record, frozen=True):
     time: float
     """0…25.5 s"""
 
-class PowerQuery(Record, frozen=True):
+class PowerQuery(_Typed, frozen=True):
     """Ask the power board for voltage and current.
 
     to device; dialect D12; source: hubo-ach
     """
     board: int
 
-class ReferenceD15(Record, frozen=True):
+class ReferenceD15(_Typed, frozen=True):
     """Set-points of both channels, two's complement. Of a channel in current mode: 16 bits of current, then zeros.
 
     to device; dialect D15; source: RoboWorld2018
@@ -268,7 +271,7 @@ class ReferenceD15(Record, frozen=True):
     position: tuple[int, int]
     """-2147483648…2147483647 count"""
 
-class GetBoardInfoD15(Record, frozen=True):
+class GetBoardInfoD15(_Typed, frozen=True):
     """Ask what the board is; BoardInfoD15 answers. Whether a period goes with it, as in D12, is not known.
 
     to device; dialect D15; source: RoboWorld2018
@@ -277,7 +280,7 @@ class GetBoardInfoD15(Record, frozen=True):
     """motor board"""
     rest: bytes
 
-class SendStatusD15(Record, frozen=True):
+class SendStatusD15(_Typed, frozen=True):
     """Ask for the status.
 
     to device; dialect D15; source: RoboWorld2018
@@ -286,7 +289,7 @@ class SendStatusD15(Record, frozen=True):
     """motor board"""
     rest: bytes
 
-class SendEncoderD15(Record, frozen=True):
+class SendEncoderD15(_Typed, frozen=True):
     """Ask for the encoder positions, once or from now on.
 
     to device; dialect D15; source: RoboWorld2018
@@ -295,7 +298,7 @@ class SendEncoderD15(Record, frozen=True):
     """motor board"""
     mode: Literal["once", "continuous"] | int
 
-class DriverSwitchD15(Record, frozen=True):
+class DriverSwitchD15(_Typed, frozen=True):
     """Switch a channel's motor driver (FET).
 
     to device; dialect D15; source: RoboWorld2018
@@ -309,7 +312,7 @@ class _PwmD15_motor(Part, frozen=True):
     mode: Literal["percent", "per_mille", "feed_forward_per_mille", "feed_forward_milliampere"] | int
     duty: int
 
-class PwmD15(Record, frozen=True):
+class PwmD15(_Typed, frozen=True):
     """Open-loop duty, or what is added to the control's, of both channels; `mode` says its unit: %, 0.1 %, 0.1 %, mA.
 
     to device; dialect D15; source: RoboWorld2018
@@ -318,7 +321,7 @@ class PwmD15(Record, frozen=True):
     """motor board"""
     motor: tuple[_PwmD15_motor, _PwmD15_motor]
 
-class ControlD15(Record, frozen=True):
+class ControlD15(_Typed, frozen=True):
     """Control a channel, or stop controlling it.
 
     to device; dialect D15; source: RoboWorld2018
@@ -328,7 +331,7 @@ class ControlD15(Record, frozen=True):
     channel: int
     state: Literal["off", "on"] | int
 
-class HomeD15(Record, frozen=True):
+class HomeD15(_Typed, frozen=True):
     """Search home with the settings stored in the board.
 
     to device; dialect D15; source: RoboWorld2018
@@ -337,7 +340,7 @@ class HomeD15(Record, frozen=True):
     """motor board"""
     channel: int
 
-class PositionModeD15(Record, frozen=True):
+class PositionModeD15(_Typed, frozen=True):
     """What a position set-point counts from.
 
     to device; dialect D15; source: RoboWorld2018
@@ -347,7 +350,7 @@ class PositionModeD15(Record, frozen=True):
     channel: int
     mode: Literal["absolute", "incremental"] | int
 
-class MaxSpeedD15(Record, frozen=True):
+class MaxSpeedD15(_Typed, frozen=True):
     """Largest acceleration and velocity of a channel, which is part of the opcode here only.
 
     to device; dialect D15; source: RoboWorld2018 (fields as in D12: hubo-ach)
@@ -359,7 +362,7 @@ class MaxSpeedD15(Record, frozen=True):
     acceleration: int
     velocity: int
 
-class ClearErrorD15(Record, frozen=True):
+class ClearErrorD15(_Typed, frozen=True):
     """Clear a channel's error bits.
 
     to device; dialect D15; source: RoboWorld2018
@@ -368,7 +371,7 @@ class ClearErrorD15(Record, frozen=True):
     """motor board"""
     channel: int
 
-class SendTemperatureD15(Record, frozen=True):
+class SendTemperatureD15(_Typed, frozen=True):
     """Ask for the temperatures.
 
     to device; dialect D15; source: RoboWorld2018
@@ -377,7 +380,7 @@ class SendTemperatureD15(Record, frozen=True):
     """motor board"""
     rest: bytes
 
-class FrictionD15(Record, frozen=True):
+class FrictionD15(_Typed, frozen=True):
     """Friction compensation, two commands; their fields behind the channel are not known.
 
     to device; dialect D15; source: RoboWorld2018
@@ -388,7 +391,7 @@ class FrictionD15(Record, frozen=True):
     channel: int
     rest: bytes
 
-class MaxDutyD15(Record, frozen=True):
+class MaxDutyD15(_Typed, frozen=True):
     """Largest duty; its form behind the channel is not known.
 
     to device; dialect D15; source: RoboWorld2018
@@ -398,7 +401,7 @@ class MaxDutyD15(Record, frozen=True):
     channel: int
     rest: bytes
 
-class EncoderD15(Record, frozen=True):
+class EncoderD15(_Typed, frozen=True):
     """Encoder positions of both channels; comes by itself after a continuous request.
 
     from device; dialect D15; source: RoboWorld2018
@@ -440,7 +443,7 @@ class _StatusD15_motor(Part, frozen=True):
     errors: _StatusD15_motor_errors
     modes: _StatusD15_motor_modes
 
-class StatusD15(Record, frozen=True):
+class StatusD15(_Typed, frozen=True):
     """State and errors of both motors, three bytes each. Bit 3 of the errors is the input here, D12's is the encoder.
 
     from device; dialect D15; source: RoboWorld2018
@@ -482,7 +485,7 @@ class _StatusShortD15_motor(Part, frozen=True):
     errors: _StatusShortD15_motor_errors
     modes: _StatusShortD15_motor_modes
 
-class StatusShortD15(Record, frozen=True):
+class StatusShortD15(_Typed, frozen=True):
     """StatusD15 of a board that leaves the second motor out.
 
     from device; dialect D15; source: RoboWorld2018 (three bytes a motor)
@@ -492,7 +495,7 @@ class StatusShortD15(Record, frozen=True):
     motor: tuple[_StatusShortD15_motor]
     rest: bytes
 
-class BoardInfoD15(Record, frozen=True):
+class BoardInfoD15(_Typed, frozen=True):
     """A board's period and the version of its firmware.
 
     from device; dialect D15; source: RoboWorld2018
@@ -505,7 +508,7 @@ class BoardInfoD15(Record, frozen=True):
     version: int
     rest: bytes
 
-class TemperatureD15(Record, frozen=True):
+class TemperatureD15(_Typed, frozen=True):
     """Temperatures of the board and of both motors; read as unsigned.
 
     from device; dialect D15; source: RoboWorld2018
@@ -518,7 +521,7 @@ class TemperatureD15(Record, frozen=True):
     """0…6553.5 °C"""
     rest: bytes
 
-class PowerSwitchD15(Record, frozen=True):
+class PowerSwitchD15(_Typed, frozen=True):
     """12 V, 48 V sequencing, beeper and PC toggles; how they are said is not known.
 
     to device; dialect D15; source: RoboWorld2018
@@ -527,7 +530,7 @@ class PowerSwitchD15(Record, frozen=True):
     """smart power board"""
     rest: bytes
 
-class AlarmD15(Record, frozen=True):
+class AlarmD15(_Typed, frozen=True):
     """Sound the alarm.
 
     to device; dialect D15; source: RoboWorld2018 (sounds as in D12: hubo-ach)
@@ -536,7 +539,7 @@ class AlarmD15(Record, frozen=True):
     """smart power board"""
     sound: Literal["off", "sound_1", "sound_2", "sound_3", "sound_4"] | int
 
-class BeepD15(Record, frozen=True):
+class BeepD15(_Typed, frozen=True):
     """Beep for a time.
 
     to device; dialect D15; source: RoboWorld2018 (unit as in D12: hubo-ach)
@@ -546,7 +549,7 @@ class BeepD15(Record, frozen=True):
     time: float
     """0…25.5 s"""
 
-class PowerQueryD15(Record, frozen=True):
+class PowerQueryD15(_Typed, frozen=True):
     """Ask for voltage and current; what 0xE1 asks for beyond that is not known.
 
     to device; dialect D15; source: RoboWorld2018
@@ -555,7 +558,7 @@ class PowerQueryD15(Record, frozen=True):
     """smart power board"""
     opcode: int
 
-class PowerD15(Record, frozen=True):
+class PowerD15(_Typed, frozen=True):
     """The smart power board's reply.
 
     from device; dialect D15; source: RoboWorld2018
@@ -568,7 +571,7 @@ class PowerD15(Record, frozen=True):
     """0…655.35 A"""
     rest: bytes
 
-class SensorRequestD15(Record, frozen=True):
+class SensorRequestD15(_Typed, frozen=True):
     """Ask one sensor, or all (0xFF); modes are taken to be D12's.
 
     to device; dialect D15; source: RoboWorld2018
@@ -577,7 +580,7 @@ class SensorRequestD15(Record, frozen=True):
     mode: int
     rest: bytes
 
-class ForceTorqueD15(Record, frozen=True):
+class ForceTorqueD15(_Typed, frozen=True):
     """Force and torque: D12's fields a byte later and negated.
 
     from device; dialect D15; source: RoboWorld2018
@@ -593,7 +596,7 @@ class ForceTorqueD15(Record, frozen=True):
     """-3276.7…3276.8 N"""
     rest: bytes
 
-class ForceTorqueLateralD15(Record, frozen=True):
+class ForceTorqueLateralD15(_Typed, frozen=True):
     """The other three of a six-axis sensor; taken to lie and count as in the first frame.
 
     from device; dialect D15; source: RoboWorld2018
@@ -609,7 +612,7 @@ class ForceTorqueLateralD15(Record, frozen=True):
     """-327.67…327.68 N·m"""
     rest: bytes
 
-class Reference(Record, frozen=True):
+class Reference(_Typed, frozen=True):
     """Position set-points. On a one-channel board repeat the first one.
 
     to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach; HuboCan (it and acesHubo send 0 as a missing second one)
@@ -619,7 +622,7 @@ class Reference(Record, frozen=True):
     position: tuple[int, int]
     """-8388607…8388607 count"""
 
-class Reference3D08(Record, frozen=True):
+class Reference3D08(_Typed, frozen=True):
     """Position set-points of a three-channel board.
 
     to device; dialects D08, D08X; source: X2; acesHubo (a signed cast, so two's complement)
@@ -629,7 +632,7 @@ class Reference3D08(Record, frozen=True):
     position: tuple[int, int, int]
     """-32768…32767 count"""
 
-class ReferenceHand(Record, frozen=True):
+class ReferenceHand(_Typed, frozen=True):
     """Wrist roll and the current of both fingers of a DRC-Hubo hand, as in control mode `hybrid`.
 
     to device; dialect D12; source: hubo-ach
@@ -641,7 +644,7 @@ class ReferenceHand(Record, frozen=True):
     finger: tuple[float, float]
     """-0.1…0.1 A"""
 
-class ReferenceHandPosition(Record, frozen=True):
+class ReferenceHandPosition(_Typed, frozen=True):
     """Wrist roll and finger positions, while the board's control mode is known to be `position`.
 
     to device; dialect D12; source: hubo-ach
@@ -653,7 +656,7 @@ class ReferenceHandPosition(Record, frozen=True):
     """-8388607…8388607 count"""
     finger: tuple[int, int]
 
-class ReferenceNeck(Record, frozen=True):
+class ReferenceNeck(_Typed, frozen=True):
     """Angles of the three neck servos of DRC-Hubo.
 
     to device; dialect D12; source: hubo-ach (its daemon scales by 4095, its reader and its servo program by 4096)
@@ -663,7 +666,7 @@ class ReferenceNeck(Record, frozen=True):
     position: tuple[float, float, float]
     """-3.14159…3.14006 rad"""
 
-class Home(Record, frozen=True):
+class Home(_Typed, frozen=True):
     """Search home with the settings stored in the board; hubo-ach sends no reference for 3 s after it.
 
     to device; dialect D12; source: hubo-ach; HuboCan
@@ -674,7 +677,7 @@ class Home(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class HomeD08(Record, frozen=True):
+class HomeD08(_Typed, frozen=True):
     """Search one motor's home and go to the offset, which becomes zero; the other motor stays in run state.
 
     to device; dialect D08; source: X2; acesHubo (high byte first, as it ran on the robot)
@@ -687,7 +690,7 @@ class HomeD08(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class HomeD08X(Record, frozen=True):
+class HomeD08X(_Typed, frozen=True):
     """HomeD08 with the low byte first.
 
     to device; dialect D08X; source: X2
@@ -700,7 +703,7 @@ class HomeD08X(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Home3D08(Record, frozen=True):
+class Home3D08(_Typed, frozen=True):
     """Home search of a three-channel board: pulses of motor 0, which has the switch, and turns of the others.
 
     to device; dialect D08; source: X2; acesHubo (high byte first; it sends 5 turns always)
@@ -715,7 +718,7 @@ class Home3D08(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Home3D08X(Record, frozen=True):
+class Home3D08X(_Typed, frozen=True):
     """Home3D08 with the low byte first.
 
     to device; dialect D08X; source: X2
@@ -730,7 +733,7 @@ class Home3D08X(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Home5D08(Record, frozen=True):
+class Home5D08(_Typed, frozen=True):
     """Drive all fingers with this power, each the same.
 
     to device; dialects D08, D08X; source: acesHubo
@@ -738,7 +741,7 @@ class Home5D08(Record, frozen=True):
     board: int
     power: tuple[int, int, int, int, int]
 
-class PwmD08(Record, frozen=True):
+class PwmD08(_Typed, frozen=True):
     """Drive both motors with a duty, in unknown steps.
 
     to device; dialects D08, D08X; source: X1; X2
@@ -748,7 +751,7 @@ class PwmD08(Record, frozen=True):
     direction: tuple[Literal["plus", "minus"] | int, Literal["plus", "minus"] | int]
     duty: tuple[int, int]
 
-class Pwm3D08(Record, frozen=True):
+class Pwm3D08(_Typed, frozen=True):
     """Drive three motors with a duty, in unknown steps.
 
     to device; dialects D08, D08X; source: X2
@@ -758,7 +761,7 @@ class Pwm3D08(Record, frozen=True):
     direction: tuple[Literal["plus", "minus"] | int, Literal["plus", "minus"] | int, Literal["plus", "minus"] | int]
     duty: tuple[int, int, int]
 
-class PwmFingersD08(Record, frozen=True):
+class PwmFingersD08(_Typed, frozen=True):
     """Drive the fingers with a duty in −15…15: the only way to move them.
 
     to device; dialects D08, D08X; source: acesHubo
@@ -769,7 +772,7 @@ class PwmFingersD08(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Pwm(Record, frozen=True):
+class Pwm(_Typed, frozen=True):
     """Drive both motors with a duty.
 
     to device; dialect D12; source: hubo-ach (it never tried this on a robot)
@@ -782,7 +785,7 @@ class Pwm(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class PwmFine(Record, frozen=True):
+class PwmFine(_Typed, frozen=True):
     """Drive both motors with a duty in steps of 0.1 %; negative is clockwise.
 
     to device; dialect D12; source: hubo-ach
@@ -793,7 +796,7 @@ class PwmFine(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Pwm3(Record, frozen=True):
+class Pwm3(_Typed, frozen=True):
     """Drive three motors with a duty.
 
     to device; dialect D12; source: hubo-ach (whose own helper loses the sign)
@@ -803,7 +806,7 @@ class Pwm3(Record, frozen=True):
     duty: tuple[int, int, int]
     """-100…100 %"""
 
-class PwmFingers(Record, frozen=True):
+class PwmFingers(_Typed, frozen=True):
     """Drive the fingers of a Hubo 2+ hand: they have no reference.
 
     to device; dialect D12; source: hubo-ach
@@ -813,7 +816,7 @@ class PwmFingers(Record, frozen=True):
     duty: tuple[int, int, int, int, int]
     """-100…100 %"""
 
-class Parameters1(Record, frozen=True):
+class Parameters1(_Typed, frozen=True):
     """Block 1 of a channel: position gains and the encoder word.
 
     from device; dialect D12; source: hubo-ach
@@ -829,7 +832,7 @@ class Parameters1(Record, frozen=True):
     auto_scale: int
     direction: Literal["ccw", "cw"] | int
 
-class Parameters2(Record, frozen=True):
+class Parameters2(_Typed, frozen=True):
     """Block 2 of a channel: dead zone, home search, and bits 0–15 of the home offset.
 
     from device; dialect D12; source: hubo-ach
@@ -845,7 +848,7 @@ class Parameters2(Record, frozen=True):
     home_offset_low: int
     """0…65535 count"""
 
-class Parameters3(Record, frozen=True):
+class Parameters3(_Typed, frozen=True):
     """Block 3 of a channel: bits 16–31 of the home offset, the lower limit, bits 0–15 of the upper one.
 
     from device; dialect D12; source: hubo-ach; RoboWorld2018 (bit 0 of a limit switches it on)
@@ -862,7 +865,7 @@ class Parameters3(Record, frozen=True):
     upper_limit_low: int
     """0…65534 count"""
 
-class Parameters4(Record, frozen=True):
+class Parameters4(_Typed, frozen=True):
     """Block 4 of a channel: bits 16–31 of the upper limit, largest acceleration, velocity and PWM.
 
     from device; dialect D12; source: hubo-ach
@@ -876,7 +879,7 @@ class Parameters4(Record, frozen=True):
     max_velocity: int
     max_pwm: int
 
-class Parameters5(Record, frozen=True):
+class Parameters5(_Typed, frozen=True):
     """Block 5 of a channel: largest current, torque gains.
 
     from device; dialect D12; source: hubo-ach
@@ -889,7 +892,7 @@ class Parameters5(Record, frozen=True):
     kpt: int
     kdt: int
 
-class Parameters6(Record, frozen=True):
+class Parameters6(_Typed, frozen=True):
     """Block 6 of a channel: a torque gain; the rest may be sums of blocks 1–5.
 
     from device; dialect D12; source: hubo-ach; RoboWorld2018 (compares the sums, and only logs it when they differ)
@@ -900,7 +903,7 @@ class Parameters6(Record, frozen=True):
     kft: int
     sums: bytes
 
-class Parameters20(Record, frozen=True):
+class Parameters20(_Typed, frozen=True):
     """Block 20 of a board: its number, its period, its type, its acceleration in a home search.
 
     from device; dialect D12; source: hubo-ach; RoboWorld2018 (for the number)
@@ -915,7 +918,7 @@ class Parameters20(Record, frozen=True):
     unused: bytes
     homing_acceleration: float
 
-class Parameters21(Record, frozen=True):
+class Parameters21(_Typed, frozen=True):
     """Block 21 of a board: velocities of a home search, times until a jam and until saturation.
 
     from device; dialect D12; source: hubo-ach (it reads the times as 0.1 s, and doubts it; JamLimits writes them in ms)
@@ -930,7 +933,7 @@ class Parameters21(Record, frozen=True):
     saturation_time: int
     """0…65535 ms"""
 
-class Parameters22(Record, frozen=True):
+class Parameters22(_Typed, frozen=True):
     """Block 22 of a board: duties of the limit and jam detection, largest step, error and encoder error.
 
     from device; dialect D12; source: hubo-ach
@@ -946,7 +949,7 @@ class Parameters22(Record, frozen=True):
     max_error: int
     max_encoder_error: int
 
-class CurrentPadded(Record, frozen=True):
+class CurrentPadded(_Typed, frozen=True):
     """Magnitudes of both motor currents, and a temperature. In a frame of 8 bytes.
 
     from device; dialect D12; source: hubo-ach
@@ -960,7 +963,7 @@ class CurrentPadded(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Current(Record, frozen=True):
+class Current(_Typed, frozen=True):
     """Magnitudes of both motor currents, and a temperature.
 
     from device; dialect D12; source: hubo-ach
@@ -974,7 +977,7 @@ class Current(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Current3Padded(Record, frozen=True):
+class Current3Padded(_Typed, frozen=True):
     """Magnitudes of three motor currents, and a temperature. In a frame of 8 bytes.
 
     from device; dialect D12; source: hubo-ach
@@ -988,7 +991,7 @@ class Current3Padded(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Current3(Record, frozen=True):
+class Current3(_Typed, frozen=True):
     """Magnitudes of three motor currents, and a temperature.
 
     from device; dialect D12; source: hubo-ach
@@ -1000,7 +1003,7 @@ class Current3(Record, frozen=True):
     temperature: int
     """0…255 °C"""
 
-class Current5Padded(Record, frozen=True):
+class Current5Padded(_Typed, frozen=True):
     """Magnitudes of five finger currents. In a frame of 8 bytes.
 
     from device; dialect D12; source: hubo-ach
@@ -1012,7 +1015,7 @@ class Current5Padded(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Current5(Record, frozen=True):
+class Current5(_Typed, frozen=True):
     """Magnitudes of five finger currents.
 
     from device; dialect D12; source: hubo-ach
@@ -1024,7 +1027,7 @@ class Current5(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Encoder(Record, frozen=True):
+class Encoder(_Typed, frozen=True):
     """Encoder positions; a one-channel board has a second slot too.
 
     from device; dialects D08, D08X, D12; source: X2; hubo-ach; HuboCan; RoboWorld2018
@@ -1034,7 +1037,7 @@ class Encoder(Record, frozen=True):
     position: tuple[int, int]
     """-2147483648…2147483647 count"""
 
-class EncoderShort(Record, frozen=True):
+class EncoderShort(_Typed, frozen=True):
     """Encoder position of a one-channel board that leaves the second slot out.
 
     from device; dialects D08, D08X, D12; source: hubo-ach (only HuboCan insists on 8 bytes)
@@ -1045,7 +1048,7 @@ class EncoderShort(Record, frozen=True):
     """-2147483648…2147483647 count"""
     rest: bytes
 
-class Encoder3(Record, frozen=True):
+class Encoder3(_Typed, frozen=True):
     """Encoder positions of a three-channel board, a DRC-Hubo hand or the Hubo 2+ neck.
 
     from device; dialects D08, D08X, D12; source: X2 (8 bytes, 6 of them used); hubo-ach; HuboCan
@@ -1056,7 +1059,7 @@ class Encoder3(Record, frozen=True):
     """-32768…32767 count"""
     rest: bytes
 
-class Encoder5(Record, frozen=True):
+class Encoder5(_Typed, frozen=True):
     """Encoder positions of channels 0–2 of a five-channel board.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1066,7 +1069,7 @@ class Encoder5(Record, frozen=True):
     position: tuple[int, int, int]
     """-32768…32767 count"""
 
-class Encoder5Upper(Record, frozen=True):
+class Encoder5Upper(_Typed, frozen=True):
     """Encoder positions of channels 3 and 4 of a five-channel board.
 
     from device; dialect D12; source: hubo-ach (HuboCan reads past the frame here)
@@ -1076,7 +1079,7 @@ class Encoder5Upper(Record, frozen=True):
     position: tuple[int, int]
     """-32768…32767 count"""
 
-class EncoderNeck(Record, frozen=True):
+class EncoderNeck(_Typed, frozen=True):
     """Angles of the three neck servos of DRC-Hubo.
 
     from device; dialect D12; source: hubo-ach
@@ -1087,7 +1090,7 @@ class EncoderNeck(Record, frozen=True):
     """-53.4071…47.1224 rad"""
     rest: bytes
 
-class Power(Record, frozen=True):
+class Power(_Typed, frozen=True):
     """The power board's reply, at 0x06E: an encoder's place.
 
     from device; dialect D12; source: hubo-ach (it reads them as signed)
@@ -1102,7 +1105,7 @@ class Power(Record, frozen=True):
     """0…6553.5 W"""
     rest: bytes
 
-class CurrentD08(Record, frozen=True):
+class CurrentD08(_Typed, frozen=True):
     """Motor currents; their unit is unknown, and that they are signed a guess.
 
     from device; dialects D08, D08X; source: X1; X2
@@ -1111,7 +1114,7 @@ class CurrentD08(Record, frozen=True):
     """motor board"""
     current: tuple[int, int]
 
-class Pm(Record, frozen=True):
+class Pm(_Typed, frozen=True):
     """Encoder values at the z-phase.
 
     from device; dialects D08, D08X; source: X1
@@ -1123,7 +1126,7 @@ class Pm(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class NameInfoReply(Record, frozen=True):
+class NameInfoReply(_Typed, frozen=True):
     """A board's period and home search limits. acesHubo takes it as a sign of life and distrusts the limits.
 
     from device; dialects D08, D08X; source: X2 (3 bytes, also where it lists 4); acesHubo
@@ -1135,7 +1138,7 @@ class NameInfoReply(Record, frozen=True):
     limit: tuple[int, ...]
     """0…255 turn"""
 
-class BoardInfo(Record, frozen=True):
+class BoardInfo(_Typed, frozen=True):
     """A motor board's period; RoboWorld2018 has the firmware's version in `rest`, bytes 3–6 of the frame.
 
     from device; dialect D12; source: hubo-ach canID.h; RoboWorld2018
@@ -1146,7 +1149,7 @@ class BoardInfo(Record, frozen=True):
     """0…255 ms"""
     rest: bytes
 
-class SensorBoardInfo(Record, frozen=True):
+class SensorBoardInfo(_Typed, frozen=True):
     """BoardInfo of a sensor board, from 0x240 up.
 
     from device; dialect D12; source: hubo-ach canID.h
@@ -1157,14 +1160,14 @@ class SensorBoardInfo(Record, frozen=True):
     """0…255 ms"""
     rest: bytes
 
-class SensorRequestD08(Record, frozen=True):
+class SensorRequestD08(_Typed, frozen=True):
     """Ask every sensor; other values hold one sensor's number and type, but the sheet is cut off there.
 
     to device; dialects D08, D08X; source: X2; acesHubo
     """
     mode: Literal["all"] | int
 
-class SensorRequest(Record, frozen=True):
+class SensorRequest(_Typed, frozen=True):
     """Ask for force/torque and acceleration (tilt) together.
 
     to device; dialect D12; source: hubo-ach; RoboWorld2018 (sensor 0xFF)
@@ -1172,7 +1175,7 @@ class SensorRequest(Record, frozen=True):
     sensor: int
     mode: Literal["digital", "scaled", "scaled_tilt_digital", "digital_tilt_scaled", "ft_digital", "ft_scaled", "tilt_digital", "tilt_scaled", "gyro"] | int
 
-class ForceTorqueRequest(Record, frozen=True):
+class ForceTorqueRequest(_Typed, frozen=True):
     """Ask for force and torque.
 
     to device; dialect D12; source: hubo-ach; HuboCan
@@ -1180,7 +1183,7 @@ class ForceTorqueRequest(Record, frozen=True):
     sensor: int
     mode: Literal["digital", "scaled", "scaled_tilt_digital", "digital_tilt_scaled", "ft_digital", "ft_scaled", "tilt_digital", "tilt_scaled", "gyro"] | int
 
-class TiltRequest(Record, frozen=True):
+class TiltRequest(_Typed, frozen=True):
     """Ask for the acceleration (tilt) of a foot.
 
     to device; dialect D12; source: hubo-ach; HuboCan
@@ -1188,14 +1191,14 @@ class TiltRequest(Record, frozen=True):
     sensor: int
     mode: Literal["digital", "scaled", "scaled_tilt_digital", "digital_tilt_scaled", "ft_digital", "ft_scaled", "tilt_digital", "tilt_scaled", "gyro"] | int
 
-class GyroRequest(Record, frozen=True):
+class GyroRequest(_Typed, frozen=True):
     """Ask for gyro and temperature; the form of the answer is not known.
 
     to device; dialect D12; source: hubo-ach
     """
     sensor: int
 
-class ImuRequest(Record, frozen=True):
+class ImuRequest(_Typed, frozen=True):
     """Ask an IMU: the third byte distinguishes its request from a force/torque one.
 
     to device; dialect D12; source: hubo-ach; HuboCan
@@ -1203,7 +1206,7 @@ class ImuRequest(Record, frozen=True):
     sensor: int
     select: Literal["imu"] | int
 
-class NullSensor(Record, frozen=True):
+class NullSensor(_Typed, frozen=True):
     """Take the present reading as zero; `tilt` is of D12, single axes are of D08.
 
     to device; dialects D08, D08X, D12; source: X1; acesHubo; hubo-ach; HuboCan; RoboWorld2018
@@ -1211,14 +1214,14 @@ class NullSensor(Record, frozen=True):
     board: int
     what: Literal["force_torque", "mx", "my", "fz", "tilt"] | int
 
-class NullImu(Record, frozen=True):
+class NullImu(_Typed, frozen=True):
     """Take the present reading of an IMU as zero.
 
     to device; dialect D12; source: hubo-ach; HuboCan; RoboWorld2018
     """
     board: int
 
-class SetPeriod(Record, frozen=True):
+class SetPeriod(_Typed, frozen=True):
     """Set the sending period.
 
     to device; dialects D08, D08X; source: X2
@@ -1226,7 +1229,7 @@ class SetPeriod(Record, frozen=True):
     board: int
     period: int
 
-class SetSample(Record, frozen=True):
+class SetSample(_Typed, frozen=True):
     """Set the sampling.
 
     to device; dialects D08, D08X; source: X2
@@ -1234,7 +1237,7 @@ class SetSample(Record, frozen=True):
     board: int
     sample: int
 
-class AdRead(Record, frozen=True):
+class AdRead(_Typed, frozen=True):
     """Switch analogue reading.
 
     to device; dialects D08, D08X; source: X2
@@ -1242,7 +1245,7 @@ class AdRead(Record, frozen=True):
     board: int
     state: Literal["off", "on"] | int
 
-class DaOut(Record, frozen=True):
+class DaOut(_Typed, frozen=True):
     """Put out an analogue value.
 
     to device; dialects D08, D08X; source: X2
@@ -1250,7 +1253,7 @@ class DaOut(Record, frozen=True):
     board: int
     value: int
 
-class DataType(Record, frozen=True):
+class DataType(_Typed, frozen=True):
     """Send raw or averaged data.
 
     to device; dialects D08, D08X; source: X2
@@ -1258,21 +1261,21 @@ class DataType(Record, frozen=True):
     board: int
     type: Literal["raw", "average"] | int
 
-class DaOffsetQuery(Record, frozen=True):
+class DaOffsetQuery(_Typed, frozen=True):
     """Ask for the D/A offsets.
 
     to device; dialects D08, D08X; source: X2
     """
     board: int
 
-class AdOffsetQuery(Record, frozen=True):
+class AdOffsetQuery(_Typed, frozen=True):
     """Ask for the A/D offsets.
 
     to device; dialects D08, D08X; source: X2
     """
     board: int
 
-class OffsetQuery(Record, frozen=True):
+class OffsetQuery(_Typed, frozen=True):
     """Ask for both offsets of one axis.
 
     to device; dialects D08, D08X; source: X2
@@ -1280,7 +1283,7 @@ class OffsetQuery(Record, frozen=True):
     board: int
     axis: Literal["mx", "my", "fz"] | int
 
-class ForceTorqueD08(Record, frozen=True):
+class ForceTorqueD08(_Typed, frozen=True):
     """Force and torque in the sensor's own digits.
 
     from device; dialects D08, D08X; source: X2; acesHubo
@@ -1291,7 +1294,7 @@ class ForceTorqueD08(Record, frozen=True):
     my: int
     fz: int
 
-class ForceTorque(Record, frozen=True):
+class ForceTorque(_Typed, frozen=True):
     """Force and torque; the same bytes in digits are ForceTorqueDigits, so the request must have been seen.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1306,7 +1309,7 @@ class ForceTorque(Record, frozen=True):
     fz: float
     """-3276.8…3276.7 N"""
 
-class ForceTorqueDigits(Record, frozen=True):
+class ForceTorqueDigits(_Typed, frozen=True):
     """Force and torque in the sensor's own digits.
 
     from device; dialect D12; source: hubo-ach canID.h
@@ -1318,7 +1321,7 @@ class ForceTorqueDigits(Record, frozen=True):
     my: int
     fz: int
 
-class Tilt(Record, frozen=True):
+class Tilt(_Typed, frozen=True):
     """Tilt of a foot and its vertical acceleration.
 
     from device; dialect D12; source: hubo-ach; HuboCan (both also turn `az` from degrees to radians, which makes no sense of g)
@@ -1333,7 +1336,7 @@ class Tilt(Record, frozen=True):
     az: float
     """-43.6907…43.6893 g"""
 
-class TiltDigits(Record, frozen=True):
+class TiltDigits(_Typed, frozen=True):
     """Acceleration of a foot in the sensor's own digits.
 
     from device; dialect D12; source: hubo-ach canID.h
@@ -1345,7 +1348,7 @@ class TiltDigits(Record, frozen=True):
     ay: int
     az: int
 
-class Imu(Record, frozen=True):
+class Imu(_Typed, frozen=True):
     """Attitude of the body.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1361,7 +1364,7 @@ class Imu(Record, frozen=True):
     pitch_rate: float
     """-327.68…327.67 deg/s"""
 
-class ImuD08(Record, frozen=True):
+class ImuD08(_Typed, frozen=True):
     """Acceleration and rotation in the sensor's own digits.
 
     from device; dialects D08, D08X; source: X2; acesHubo (which forgets the sign here)
@@ -1371,7 +1374,7 @@ class ImuD08(Record, frozen=True):
     acceleration: tuple[int, int]
     gyro: tuple[int, int]
 
-class DaOffset(Record, frozen=True):
+class DaOffset(_Typed, frozen=True):
     """D/A offsets; that they are signed is a guess.
 
     from device; dialects D08, D08X; source: X2
@@ -1382,7 +1385,7 @@ class DaOffset(Record, frozen=True):
     my: int
     fz: int
 
-class AdOffset(Record, frozen=True):
+class AdOffset(_Typed, frozen=True):
     """A/D offsets; that they are signed is a guess.
 
     from device; dialects D08, D08X; source: X2
@@ -1393,7 +1396,7 @@ class AdOffset(Record, frozen=True):
     my: int
     fz: int
 
-class OffsetPair(Record, frozen=True):
+class OffsetPair(_Typed, frozen=True):
     """Both offsets of the axis that was asked for; that they are signed is a guess.
 
     from device; dialects D08, D08X; source: X2
@@ -1403,7 +1406,7 @@ class OffsetPair(Record, frozen=True):
     ad: int
     da: int
 
-class DeadZone(Record, frozen=True):
+class DeadZone(_Typed, frozen=True):
     """Dead zone of a motor's PWM.
 
     to device; dialect D12; source: hubo-ach
@@ -1413,7 +1416,7 @@ class DeadZone(Record, frozen=True):
     """motor channel, from 0"""
     dead_zone: int
 
-class HomeSearch(Record, frozen=True):
+class HomeSearch(_Typed, frozen=True):
     """Home search: at most so many motor turns, where to, and how far the home is from the index.
 
     to device; dialect D12; source: hubo-ach
@@ -1427,7 +1430,7 @@ class HomeSearch(Record, frozen=True):
     offset: int
     """-2147483648…2147483647 count"""
 
-class EncoderResolution(Record, frozen=True):
+class EncoderResolution(_Typed, frozen=True):
     """Encoder counts of a motor turn, and the motor's direction.
 
     to device; dialect D12; source: hubo-ach
@@ -1440,7 +1443,7 @@ class EncoderResolution(Record, frozen=True):
     auto_scale: int
     direction: Literal["ccw", "cw"] | int
 
-class MaxSpeed(Record, frozen=True):
+class MaxSpeed(_Typed, frozen=True):
     """Largest acceleration and velocity, in unknown units.
 
     to device; dialect D12; source: hubo-ach
@@ -1455,7 +1458,7 @@ class _LowerLimit_options(FlagSet):
     enable: bool
     update: bool
 
-class LowerLimit(Record, frozen=True):
+class LowerLimit(_Typed, frozen=True):
     """Lower position limit; `update` writes the value, `enable` switches the limit on.
 
     to device; dialect D12; source: hubo-ach
@@ -1471,7 +1474,7 @@ class _UpperLimit_options(FlagSet):
     enable: bool
     update: bool
 
-class UpperLimit(Record, frozen=True):
+class UpperLimit(_Typed, frozen=True):
     """Upper position limit; `update` writes the value, `enable` switches the limit on.
 
     to device; dialect D12; source: hubo-ach
@@ -1483,7 +1486,7 @@ class UpperLimit(Record, frozen=True):
     limit: int
     """-2147483648…2147483647 count"""
 
-class HomingSpeed(Record, frozen=True):
+class HomingSpeed(_Typed, frozen=True):
     """How a home search moves and where it stops.
 
     to device; dialect D12; source: hubo-ach
@@ -1498,7 +1501,7 @@ class HomingSpeed(Record, frozen=True):
     duty: int
     """0…100 %"""
 
-class GainOverride(Record, frozen=True):
+class GainOverride(_Typed, frozen=True):
     """Scale the gains of channels 0 and 1 within so much time.
 
     to device; dialect D12; source: hubo-ach
@@ -1509,7 +1512,7 @@ class GainOverride(Record, frozen=True):
     time: int
     """0…65535 ms"""
 
-class SetBoardNumber(Record, frozen=True):
+class SetBoardNumber(_Typed, frozen=True):
     """Give the board another number. Dangerous: two boards with one number cannot be distinguished again.
 
     to device; dialect D12; source: hubo-ach (disabled there)
@@ -1519,7 +1522,7 @@ class SetBoardNumber(Record, frozen=True):
     period: int
     """0…255 ms"""
 
-class JamLimits(Record, frozen=True):
+class JamLimits(_Typed, frozen=True):
     """When a motor counts as jammed or its PWM as saturated.
 
     to device; dialect D12; source: hubo-ach
@@ -1534,7 +1537,7 @@ class JamLimits(Record, frozen=True):
     jam_duty: int
     """0…100 %"""
 
-class ErrorBounds(Record, frozen=True):
+class ErrorBounds(_Typed, frozen=True):
     """Largest step of the input, largest position error, temperature of the warning; units unknown.
 
     to device; dialect D12; source: hubo-ach
@@ -1544,14 +1547,14 @@ class ErrorBounds(Record, frozen=True):
     max_error: int
     temperature: int
 
-class InitBoard(Record, frozen=True):
+class InitBoard(_Typed, frozen=True):
     """Load the board's default parameters.
 
     to device; dialect D12; source: hubo-ach
     """
     board: int
 
-class InitSensor(Record, frozen=True):
+class InitSensor(_Typed, frozen=True):
     """Initialise a force/torque board.
 
     to device; dialect D12; source: hubo-ach; RoboWorld2018
@@ -1584,7 +1587,7 @@ class _Status_motor(Part, frozen=True):
     errors: _Status_motor_errors
     reserved: int
 
-class Status(Record, frozen=True):
+class Status(_Typed, frozen=True):
     """State and errors of both motors.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1619,7 +1622,7 @@ class _StatusShort_motor(Part, frozen=True):
     errors: _StatusShort_motor_errors
     reserved: int
 
-class StatusShort(Record, frozen=True):
+class StatusShort(_Typed, frozen=True):
     """State and errors of a one-channel board that leaves the second motor out.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1639,7 +1642,7 @@ class _Status3_motor(FlagSet):
     big_error: bool
     encoder_error: bool
 
-class Status3(Record, frozen=True):
+class Status3(_Typed, frozen=True):
     """State and errors of three motors; the home flag is not there.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1659,7 +1662,7 @@ class _Status5_motor(FlagSet):
     big_error: bool
     encoder_error: bool
 
-class Status5(Record, frozen=True):
+class Status5(_Typed, frozen=True):
     """State and errors of five motors.
 
     from device; dialect D12; source: hubo-ach; HuboCan
@@ -1675,7 +1678,7 @@ class _StatusD08_motor(Part, frozen=True):
     encoder: Literal["none", "ok", "fail"] | int
     reserved: int
 
-class StatusD08(Record, frozen=True):
+class StatusD08(_Typed, frozen=True):
     """How the home searches of two motors went.
 
     from device; dialect D08; source: acesHubo (bytes 5 and 6, as it ran on the robot); X1 for the bits
@@ -1694,7 +1697,7 @@ class _StatusD08X_motor(Part, frozen=True):
     encoder: Literal["none", "ok", "fail"] | int
     reserved: int
 
-class StatusD08X(Record, frozen=True):
+class StatusD08X(_Typed, frozen=True):
     """How the home searches of two motors went, in bytes 6 and 7.
 
     from device; dialect D08X; source: X1; X2
@@ -1710,7 +1713,7 @@ class _Status3D08X_motor(Part, frozen=True):
     encoder: Literal["none", "ok", "fail"] | int
     reserved: int
 
-class Status3D08X(Record, frozen=True):
+class Status3D08X(_Typed, frozen=True):
     """How the home searches of three motors went, in bytes 5 to 7.
 
     from device; dialect D08X; source: X1; X2

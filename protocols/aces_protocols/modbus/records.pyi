@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import Protocol, Record
 
 modbus: Protocol
 
-class ReadBits(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class ReadBits(_Typed, frozen=True):
     """Ask for bits: coils (1) or discrete inputs (2).
 
     to device; source: Modbus application protocol 6.1, 6.2
@@ -18,7 +21,7 @@ class ReadBits(Record, frozen=True):
     start: int
     count: int
 
-class ReadRegisters(Record, frozen=True):
+class ReadRegisters(_Typed, frozen=True):
     """Ask for registers: holding (3) or input registers (4).
 
     to device; source: Modbus application protocol 6.3, 6.4; FT 300-S manual
@@ -28,7 +31,7 @@ class ReadRegisters(Record, frozen=True):
     start: int
     count: int
 
-class ExchangeRegisters(Record, frozen=True):
+class ExchangeRegisters(_Typed, frozen=True):
     """Write registers, then ask for others.
 
     to device; source: Modbus application protocol 6.17
@@ -40,7 +43,7 @@ class ExchangeRegisters(Record, frozen=True):
     write_count: int
     registers: tuple[int, ...]
 
-class Bits(Record, frozen=True):
+class Bits(_Typed, frozen=True):
     """The bits that were asked for: the first is the lowest of the first byte.
 
     from device; source: Modbus application protocol 6.1, 6.2
@@ -51,7 +54,7 @@ class Bits(Record, frozen=True):
     function: int
     bits: bytes
 
-class UnaskedRegisters(Record, frozen=True):
+class UnaskedRegisters(_Typed, frozen=True):
     """Registers whose request was not seen: which they are is not known.
 
     from device; source: Modbus application protocol 6.3, 6.4
@@ -60,7 +63,7 @@ class UnaskedRegisters(Record, frozen=True):
     function: int
     registers: tuple[int, ...]
 
-class Registers(Record, frozen=True):
+class Registers(_Typed, frozen=True):
     """The registers that were asked for, as they are on the wire: 16 bits each, without a sign.
 
     from device; source: Modbus application protocol 6.3, 6.4; FT 300-S manual
@@ -71,7 +74,7 @@ class Registers(Record, frozen=True):
     function: int
     registers: tuple[int, ...]
 
-class WriteBit(Record, frozen=True):
+class WriteBit(_Typed, frozen=True):
     """Set a coil.
 
     to device; source: Modbus application protocol 6
@@ -80,7 +83,7 @@ class WriteBit(Record, frozen=True):
     start: int
     value: Literal["off", "on"] | int
 
-class BitWritten(Record, frozen=True):
+class BitWritten(_Typed, frozen=True):
     """It was done; the same bytes as the request.
 
     from device; source: Modbus application protocol 6
@@ -89,7 +92,7 @@ class BitWritten(Record, frozen=True):
     start: int
     value: Literal["off", "on"] | int
 
-class WriteRegister(Record, frozen=True):
+class WriteRegister(_Typed, frozen=True):
     """Set a holding register.
 
     to device; source: Modbus application protocol 6
@@ -98,7 +101,7 @@ class WriteRegister(Record, frozen=True):
     start: int
     value: int
 
-class RegisterWritten(Record, frozen=True):
+class RegisterWritten(_Typed, frozen=True):
     """It was done; the same bytes as the request.
 
     from device; source: Modbus application protocol 6
@@ -107,7 +110,7 @@ class RegisterWritten(Record, frozen=True):
     start: int
     value: int
 
-class MaskRegister(Record, frozen=True):
+class MaskRegister(_Typed, frozen=True):
     """Set bits of a holding register: (old and and_mask) or (or_mask and not and_mask).
 
     to device; source: Modbus application protocol 6
@@ -117,7 +120,7 @@ class MaskRegister(Record, frozen=True):
     and_mask: int
     or_mask: int
 
-class RegisterMasked(Record, frozen=True):
+class RegisterMasked(_Typed, frozen=True):
     """It was done; the same bytes as the request.
 
     from device; source: Modbus application protocol 6
@@ -127,7 +130,7 @@ class RegisterMasked(Record, frozen=True):
     and_mask: int
     or_mask: int
 
-class WriteBits(Record, frozen=True):
+class WriteBits(_Typed, frozen=True):
     """Set `count` coils; the first is the lowest of the first byte.
 
     to device; source: Modbus application protocol 6.11
@@ -137,7 +140,7 @@ class WriteBits(Record, frozen=True):
     count: int
     bits: bytes
 
-class WriteRegisters(Record, frozen=True):
+class WriteRegisters(_Typed, frozen=True):
     """Set `count` holding registers.
 
     to device; source: Modbus application protocol 6.12; FT 300 manual
@@ -147,7 +150,7 @@ class WriteRegisters(Record, frozen=True):
     count: int
     registers: tuple[int, ...]
 
-class BitsWritten(Record, frozen=True):
+class BitsWritten(_Typed, frozen=True):
     """Coils were set.
 
     from device; source: Modbus application protocol 6.11
@@ -156,7 +159,7 @@ class BitsWritten(Record, frozen=True):
     start: int
     count: int
 
-class RegistersWritten(Record, frozen=True):
+class RegistersWritten(_Typed, frozen=True):
     """Registers were set.
 
     from device; source: Modbus application protocol 6.12
@@ -165,7 +168,7 @@ class RegistersWritten(Record, frozen=True):
     start: int
     count: int
 
-class Other(Record, frozen=True):
+class Other(_Typed, frozen=True):
     """A function that is not declared here.
 
     to device; source: Modbus application protocol 5.1; 6.8 (diagnostics)
@@ -174,7 +177,7 @@ class Other(Record, frozen=True):
     function: int
     data: bytes
 
-class OtherAnswer(Record, frozen=True):
+class OtherAnswer(_Typed, frozen=True):
     """The answer to such a function.
 
     from device; source: Modbus application protocol 5.1; 6.8 (diagnostics)
@@ -183,7 +186,7 @@ class OtherAnswer(Record, frozen=True):
     function: int
     data: bytes
 
-class Refusal(Record, frozen=True):
+class Refusal(_Typed, frozen=True):
     """A request was refused.
 
     from device; source: Modbus application protocol 7
@@ -193,7 +196,7 @@ class Refusal(Record, frozen=True):
     """that was asked for"""
     reason: Literal["function", "address", "value", "device_failure", "acknowledge", "busy", "memory_parity", "gateway_path", "gateway_target"] | int
 
-class ForceTorque(Record, frozen=True):
+class ForceTorque(_Typed, frozen=True):
     """What a Robotiq FT 300 sends by itself, 100 times a second: the other byte order than its registers.
 
     from device; source: ros-industrial/robotiq rq_sensor_com.cpp; FT 300 manual

@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import Protocol, Record
 
 nmea0183: Protocol
 
-class GGA(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class GGA(_Typed, frozen=True):
     """The fix: position, quality, altitude.
 
     from device; source: pynmeagps, GGA
@@ -40,7 +43,7 @@ class GGA(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class RMC(Record, frozen=True):
+class RMC(_Typed, frozen=True):
     """The least a navigator needs: position, speed, course, date.
 
     from device; source: pynmeagps, RMC
@@ -69,7 +72,7 @@ class RMC(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class GSA(Record, frozen=True):
+class GSA(_Typed, frozen=True):
     """The satellites in use, and how well they are spread.
 
     from device; source: pynmeagps, GSA
@@ -97,7 +100,7 @@ class GSA(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class GSV(Record, frozen=True):
+class GSV(_Typed, frozen=True):
     """The satellites in view, in several sentences: `more` has number, elevation, azimuth, SNR of each, then the signal.
 
     from device; source: pynmeagps, GSV
@@ -109,7 +112,7 @@ class GSV(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class VTG(Record, frozen=True):
+class VTG(_Typed, frozen=True):
     """Course and speed over ground, each twice.
 
     from device; source: pynmeagps, VTG
@@ -135,7 +138,7 @@ class VTG(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class GLL(Record, frozen=True):
+class GLL(_Typed, frozen=True):
     """Position and time.
 
     from device; source: pynmeagps, GLL
@@ -154,7 +157,7 @@ class GLL(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class GNS(Record, frozen=True):
+class GNS(_Typed, frozen=True):
     """The fix of several systems; `modes` has a letter for each.
 
     from device; source: pynmeagps, GNS
@@ -183,7 +186,7 @@ class GNS(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class GST(Record, frozen=True):
+class GST(_Typed, frozen=True):
     """Statistics of the error: standard deviations.
 
     from device; source: pynmeagps, GST
@@ -207,7 +210,7 @@ class GST(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class ZDA(Record, frozen=True):
+class ZDA(_Typed, frozen=True):
     """Date and time.
 
     from device; source: pynmeagps, ZDA
@@ -223,7 +226,7 @@ class ZDA(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class HDT(Record, frozen=True):
+class HDT(_Typed, frozen=True):
     """True heading.
 
     from device; source: pynmeagps, HDT
@@ -236,7 +239,7 @@ class HDT(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class HDM(Record, frozen=True):
+class HDM(_Typed, frozen=True):
     """Magnetic heading.
 
     from device; source: pynmeagps, HDM
@@ -249,7 +252,7 @@ class HDM(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class HDG(Record, frozen=True):
+class HDG(_Typed, frozen=True):
     """Magnetic heading, deviation of the compass, variation of the place.
 
     from device; source: pynmeagps, HDG
@@ -266,7 +269,7 @@ class HDG(Record, frozen=True):
     more: tuple[str, ...]
     """fields beyond the declared ones"""
 
-class ROT(Record, frozen=True):
+class ROT(_Typed, frozen=True):
     """Rate of turn, positive to starboard.
 
     from device; source: pynmeagps, ROT

@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Part, Protocol, Record
 
 obd2: Protocol
 
-class ReadLive(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class ReadLive(_Typed, frozen=True):
     """Ask for live values: up to six PIDs.
 
     to device; source: SAE J1979; ELM327 data sheet
@@ -17,7 +20,7 @@ class ReadLive(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     pids: tuple[int, ...]
 
-class ReadLiveAll(Record, frozen=True):
+class ReadLiveAll(_Typed, frozen=True):
     """ReadLive of all ECUs.
 
     to device; source: SAE J1979; ELM327 data sheet
@@ -136,7 +139,7 @@ class _Live_values(Part, frozen=True):
     data: _Live_values_supported_01 | _Live_values_supported_21 | _Live_values_supported_41 | _Live_values_monitor_status | float | int | Literal["OBD_II_CARB", "OBD_EPA", "OBD_and_OBD_II", "OBD_I", "none", "EOBD", "EOBD_and_OBD_II", "EOBD_and_OBD", "EOBD_OBD_and_OBD_II", "JOBD", "JOBD_and_OBD_II", "JOBD_and_EOBD", "JOBD_EOBD_and_OBD_II"] | bytes
     reason: str | None
 
-class Live(Record, frozen=True):
+class Live(_Typed, frozen=True):
     """Live values, or which there are.
 
     from device; source: SAE J1979; ELM327 data sheet
@@ -145,7 +148,7 @@ class Live(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     values: tuple[_Live_values, ...]
 
-class ReadStoredCodes(Record, frozen=True):
+class ReadStoredCodes(_Typed, frozen=True):
     """Ask for trouble codes that are stored: the lamp is on for them.
 
     to device; source: SAE J1979
@@ -153,13 +156,13 @@ class ReadStoredCodes(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class ReadStoredCodesAll(Record, frozen=True):
+class ReadStoredCodesAll(_Typed, frozen=True):
     """ReadStoredCodes of all ECUs.
 
     to device; source: SAE J1979
     """
 
-class StoredCodes(Record, frozen=True):
+class StoredCodes(_Typed, frozen=True):
     """Trouble codes that are stored: the lamp is on for them.
 
     from device; source: SAE J1979; ELM327 data sheet
@@ -168,7 +171,7 @@ class StoredCodes(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     codes: Any
 
-class ReadPendingCodes(Record, frozen=True):
+class ReadPendingCodes(_Typed, frozen=True):
     """Ask for trouble codes that are pending: seen in this or the last drive.
 
     to device; source: SAE J1979
@@ -176,13 +179,13 @@ class ReadPendingCodes(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class ReadPendingCodesAll(Record, frozen=True):
+class ReadPendingCodesAll(_Typed, frozen=True):
     """ReadPendingCodes of all ECUs.
 
     to device; source: SAE J1979
     """
 
-class PendingCodes(Record, frozen=True):
+class PendingCodes(_Typed, frozen=True):
     """Trouble codes that are pending: seen in this or the last drive.
 
     from device; source: SAE J1979; ELM327 data sheet
@@ -191,7 +194,7 @@ class PendingCodes(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     codes: Any
 
-class ReadPermanentCodes(Record, frozen=True):
+class ReadPermanentCodes(_Typed, frozen=True):
     """Ask for trouble codes that are permanent: `ClearCodes` leaves them.
 
     to device; source: SAE J1979
@@ -199,13 +202,13 @@ class ReadPermanentCodes(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class ReadPermanentCodesAll(Record, frozen=True):
+class ReadPermanentCodesAll(_Typed, frozen=True):
     """ReadPermanentCodes of all ECUs.
 
     to device; source: SAE J1979
     """
 
-class PermanentCodes(Record, frozen=True):
+class PermanentCodes(_Typed, frozen=True):
     """Trouble codes that are permanent: `ClearCodes` leaves them.
 
     from device; source: SAE J1979; ELM327 data sheet
@@ -214,7 +217,7 @@ class PermanentCodes(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     codes: Any
 
-class ClearCodes(Record, frozen=True):
+class ClearCodes(_Typed, frozen=True):
     """Clear trouble codes, freeze frames and the results of tests.
 
     to device; source: SAE J1979
@@ -222,13 +225,13 @@ class ClearCodes(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class ClearCodesAll(Record, frozen=True):
+class ClearCodesAll(_Typed, frozen=True):
     """ClearCodes of all ECUs.
 
     to device; source: SAE J1979
     """
 
-class CodesCleared(Record, frozen=True):
+class CodesCleared(_Typed, frozen=True):
     """Codes were cleared.
 
     from device; source: SAE J1979
@@ -236,7 +239,7 @@ class CodesCleared(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class ReadInfo(Record, frozen=True):
+class ReadInfo(_Typed, frozen=True):
     """Ask what the vehicle and the ECU are.
 
     to device; source: SAE J1979; ELM327 data sheet
@@ -245,7 +248,7 @@ class ReadInfo(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     what: Literal["supported", "vin", "calibrations", "ecu_name"] | int
 
-class ReadInfoAll(Record, frozen=True):
+class ReadInfoAll(_Typed, frozen=True):
     """ReadInfo of all ECUs.
 
     to device; source: SAE J1979; ELM327 data sheet
@@ -257,7 +260,7 @@ class _SupportedInfo_types(FlagSet):
     calibrations: bool
     ecu_name: bool
 
-class SupportedInfo(Record, frozen=True):
+class SupportedInfo(_Typed, frozen=True):
     """What can be asked for: the highest bit is number 1.
 
     from device; source: SAE J1979
@@ -266,7 +269,7 @@ class SupportedInfo(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     types: _SupportedInfo_types
 
-class Vin(Record, frozen=True):
+class Vin(_Typed, frozen=True):
     """The vehicle's identification number.
 
     from device; source: SAE J1979; ELM327 data sheet
@@ -275,7 +278,7 @@ class Vin(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     vin: str
 
-class Calibrations(Record, frozen=True):
+class Calibrations(_Typed, frozen=True):
     """The names of its software and its data.
 
     from device; source: SAE J1979
@@ -284,7 +287,7 @@ class Calibrations(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     names: tuple[str, ...]
 
-class EcuName(Record, frozen=True):
+class EcuName(_Typed, frozen=True):
     """The ECU's short and long name, with a zero byte and a hyphen between them.
 
     from device; source: SAE J1979
@@ -293,7 +296,7 @@ class EcuName(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     name: str
 
-class Refused(Record, frozen=True):
+class Refused(_Typed, frozen=True):
     """An ECU refuses a request, or asks for patience (`response_pending`).
 
     from device; source: SAE J1979; ISO 14229-1

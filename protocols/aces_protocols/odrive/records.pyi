@@ -2,11 +2,14 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Protocol, Record
 
 odrive: Protocol
+
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
 
 class _Heartbeat_error(FlagSet):
     initializing: bool
@@ -42,7 +45,7 @@ class _Heartbeat_controller(FlagSet):
     error: bool
     trajectory_done: bool
 
-class Heartbeat(Record, frozen=True):
+class Heartbeat(_Typed, frozen=True):
     """State and errors, every 100 ms. The flags of motor, encoder and controller are 0.5.6's.
 
     from device; dialects 0.5, 0.6; source: ODrive can-protocol.rst, can_simple.cpp
@@ -59,7 +62,7 @@ class Heartbeat(Record, frozen=True):
     reserved: int
     """bits without a field"""
 
-class Estop(Record, frozen=True):
+class Estop(_Typed, frozen=True):
     """Disarm the axis, with an error that has to be cleared.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -67,7 +70,7 @@ class Estop(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class MotorError(Record, frozen=True):
+class MotorError(_Typed, frozen=True):
     """Error bits of the motor.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -76,7 +79,7 @@ class MotorError(Record, frozen=True):
     """the axis; 0x3F is everybody, or has no address yet"""
     error: int
 
-class GetMotorError(Record, frozen=True):
+class GetMotorError(_Typed, frozen=True):
     """Ask for MotorError, by a remote frame.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -84,7 +87,7 @@ class GetMotorError(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetMotorErrorEmpty(Record, frozen=True):
+class GetMotorErrorEmpty(_Typed, frozen=True):
     """Ask for MotorError, by a data frame without data.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -140,7 +143,7 @@ class _Errors_disarm_reason(FlagSet):
     thermistor: bool
     calibration: bool
 
-class Errors(Record, frozen=True):
+class Errors(_Typed, frozen=True):
     """Errors that are there, and those that disarmed the axis.
 
     from device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -150,7 +153,7 @@ class Errors(Record, frozen=True):
     active: _Errors_active
     disarm_reason: _Errors_disarm_reason
 
-class GetErrors(Record, frozen=True):
+class GetErrors(_Typed, frozen=True):
     """Ask for Errors, by a remote frame.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -158,7 +161,7 @@ class GetErrors(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetErrorsEmpty(Record, frozen=True):
+class GetErrorsEmpty(_Typed, frozen=True):
     """Ask for Errors, by a data frame without data.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -166,7 +169,7 @@ class GetErrorsEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class EncoderError(Record, frozen=True):
+class EncoderError(_Typed, frozen=True):
     """Error bits of the encoder.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -176,7 +179,7 @@ class EncoderError(Record, frozen=True):
     error: int
     padding: bytes
 
-class GetEncoderError(Record, frozen=True):
+class GetEncoderError(_Typed, frozen=True):
     """Ask for EncoderError, by a remote frame.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -184,7 +187,7 @@ class GetEncoderError(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetEncoderErrorEmpty(Record, frozen=True):
+class GetEncoderErrorEmpty(_Typed, frozen=True):
     """Ask for EncoderError, by a data frame without data.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -192,7 +195,7 @@ class GetEncoderErrorEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class SensorlessError(Record, frozen=True):
+class SensorlessError(_Typed, frozen=True):
     """Error bits of the sensorless estimator.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -202,7 +205,7 @@ class SensorlessError(Record, frozen=True):
     error: int
     padding: bytes
 
-class GetSensorlessError(Record, frozen=True):
+class GetSensorlessError(_Typed, frozen=True):
     """Ask for SensorlessError, by a remote frame.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -210,7 +213,7 @@ class GetSensorlessError(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetSensorlessErrorEmpty(Record, frozen=True):
+class GetSensorlessErrorEmpty(_Typed, frozen=True):
     """Ask for SensorlessError, by a data frame without data.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -218,7 +221,7 @@ class GetSensorlessErrorEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class ControllerError(Record, frozen=True):
+class ControllerError(_Typed, frozen=True):
     """Error bits of the controller.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -228,7 +231,7 @@ class ControllerError(Record, frozen=True):
     error: int
     padding: bytes
 
-class GetControllerError(Record, frozen=True):
+class GetControllerError(_Typed, frozen=True):
     """Ask for ControllerError, by a remote frame.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -236,7 +239,7 @@ class GetControllerError(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetControllerErrorEmpty(Record, frozen=True):
+class GetControllerErrorEmpty(_Typed, frozen=True):
     """Ask for ControllerError, by a data frame without data.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -244,7 +247,7 @@ class GetControllerErrorEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class ClearErrors(Record, frozen=True):
+class ClearErrors(_Typed, frozen=True):
     """Clear all errors.
 
     to device; dialects 0.5, 0.6; source: ODrive can-protocol.rst, can_simple.cpp
@@ -253,7 +256,7 @@ class ClearErrors(Record, frozen=True):
     """the axis; 0x3F is everybody, or has no address yet"""
     identify: int
 
-class SetAxisState(Record, frozen=True):
+class SetAxisState(_Typed, frozen=True):
     """Bring the axis into another state.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -263,7 +266,7 @@ class SetAxisState(Record, frozen=True):
     state: Literal["undefined", "idle", "startup_sequence", "full_calibration", "motor_calibration", "index_search", "offset_calibration", "closed_loop", "lockin_spin", "direction_find", "homing", "hall_polarity_calibration", "hall_phase_calibration", "anticogging_calibration", "harmonic_calibration", "harmonic_commutation_calibration"] | int
     more: bytes
 
-class SetControllerModes(Record, frozen=True):
+class SetControllerModes(_Typed, frozen=True):
     """What is controlled, and how set-points are taken.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -273,7 +276,7 @@ class SetControllerModes(Record, frozen=True):
     control: Literal["voltage", "torque", "velocity", "position"] | int
     input: Literal["inactive", "passthrough", "velocity_ramp", "position_filter", "mix", "trapezoid", "torque_ramp", "mirror", "tuning"] | int
 
-class SetInputPosition(Record, frozen=True):
+class SetInputPosition(_Typed, frozen=True):
     """Where to go, with what is fed forward (0.6: in units that can be configured; these are the usual ones).
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -287,7 +290,7 @@ class SetInputPosition(Record, frozen=True):
     torque: float
     """-32.768…32.767 N·m"""
 
-class SetInputVelocity(Record, frozen=True):
+class SetInputVelocity(_Typed, frozen=True):
     """How fast to turn, with the torque that is fed forward.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -299,7 +302,7 @@ class SetInputVelocity(Record, frozen=True):
     torque: float
     """N·m"""
 
-class SetInputTorque(Record, frozen=True):
+class SetInputTorque(_Typed, frozen=True):
     """Which torque to give.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -310,7 +313,7 @@ class SetInputTorque(Record, frozen=True):
     """N·m"""
     more: bytes
 
-class SetLimits(Record, frozen=True):
+class SetLimits(_Typed, frozen=True):
     """The greatest velocity and current.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -322,7 +325,7 @@ class SetLimits(Record, frozen=True):
     current: float
     """A"""
 
-class StartAnticogging(Record, frozen=True):
+class StartAnticogging(_Typed, frozen=True):
     """Calibrate against cogging: it moves.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -330,7 +333,7 @@ class StartAnticogging(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class SetTrajectoryVelocity(Record, frozen=True):
+class SetTrajectoryVelocity(_Typed, frozen=True):
     """Speed of trapezoids.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -341,7 +344,7 @@ class SetTrajectoryVelocity(Record, frozen=True):
     """rev/s"""
     more: bytes
 
-class SetTrajectoryAcceleration(Record, frozen=True):
+class SetTrajectoryAcceleration(_Typed, frozen=True):
     """Acceleration and deceleration of trapezoids.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -353,7 +356,7 @@ class SetTrajectoryAcceleration(Record, frozen=True):
     deceleration: float
     """rev/s²"""
 
-class SetTrajectoryInertia(Record, frozen=True):
+class SetTrajectoryInertia(_Typed, frozen=True):
     """Torque that is fed forward for an acceleration.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -364,7 +367,7 @@ class SetTrajectoryInertia(Record, frozen=True):
     """N·m/(rev/s²)"""
     more: bytes
 
-class SetPositionGain(Record, frozen=True):
+class SetPositionGain(_Typed, frozen=True):
     """The position controller's gain.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -375,7 +378,7 @@ class SetPositionGain(Record, frozen=True):
     """(rev/s)/rev"""
     more: bytes
 
-class SetVelocityGains(Record, frozen=True):
+class SetVelocityGains(_Typed, frozen=True):
     """The velocity controller's gains.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -387,7 +390,7 @@ class SetVelocityGains(Record, frozen=True):
     integrator: float
     """N·m/rev"""
 
-class SetLinearCount(Record, frozen=True):
+class SetLinearCount(_Typed, frozen=True):
     """The present position, in counts of the encoder.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -397,7 +400,7 @@ class SetLinearCount(Record, frozen=True):
     count: int
     more: bytes
 
-class SetAbsolutePosition(Record, frozen=True):
+class SetAbsolutePosition(_Typed, frozen=True):
     """The present position.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -408,7 +411,7 @@ class SetAbsolutePosition(Record, frozen=True):
     """rev"""
     more: bytes
 
-class EncoderEstimates(Record, frozen=True):
+class EncoderEstimates(_Typed, frozen=True):
     """Position and velocity, every 10 ms.
 
     from device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -420,7 +423,7 @@ class EncoderEstimates(Record, frozen=True):
     velocity: float
     """rev/s"""
 
-class GetEncoderEstimates(Record, frozen=True):
+class GetEncoderEstimates(_Typed, frozen=True):
     """Ask for EncoderEstimates, by a remote frame.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -428,7 +431,7 @@ class GetEncoderEstimates(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetEncoderEstimatesEmpty(Record, frozen=True):
+class GetEncoderEstimatesEmpty(_Typed, frozen=True):
     """Ask for EncoderEstimates, by a data frame without data.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -436,7 +439,7 @@ class GetEncoderEstimatesEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class EncoderCount(Record, frozen=True):
+class EncoderCount(_Typed, frozen=True):
     """Counts of the encoder: over all turns, and within one.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -446,7 +449,7 @@ class EncoderCount(Record, frozen=True):
     shadow: int
     in_cpr: int
 
-class GetEncoderCount(Record, frozen=True):
+class GetEncoderCount(_Typed, frozen=True):
     """Ask for EncoderCount, by a remote frame.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -454,7 +457,7 @@ class GetEncoderCount(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetEncoderCountEmpty(Record, frozen=True):
+class GetEncoderCountEmpty(_Typed, frozen=True):
     """Ask for EncoderCount, by a data frame without data.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -462,7 +465,7 @@ class GetEncoderCountEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class Iq(Record, frozen=True):
+class Iq(_Typed, frozen=True):
     """The current that makes torque.
 
     from device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -474,7 +477,7 @@ class Iq(Record, frozen=True):
     measured: float
     """A"""
 
-class GetIq(Record, frozen=True):
+class GetIq(_Typed, frozen=True):
     """Ask for Iq, by a remote frame.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -482,7 +485,7 @@ class GetIq(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetIqEmpty(Record, frozen=True):
+class GetIqEmpty(_Typed, frozen=True):
     """Ask for Iq, by a data frame without data.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -490,7 +493,7 @@ class GetIqEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class SensorlessEstimates(Record, frozen=True):
+class SensorlessEstimates(_Typed, frozen=True):
     """What is estimated without an encoder.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -502,7 +505,7 @@ class SensorlessEstimates(Record, frozen=True):
     velocity: float
     """rev/s"""
 
-class GetSensorlessEstimates(Record, frozen=True):
+class GetSensorlessEstimates(_Typed, frozen=True):
     """Ask for SensorlessEstimates, by a remote frame.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -510,7 +513,7 @@ class GetSensorlessEstimates(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetSensorlessEstimatesEmpty(Record, frozen=True):
+class GetSensorlessEstimatesEmpty(_Typed, frozen=True):
     """Ask for SensorlessEstimates, by a data frame without data.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -518,7 +521,7 @@ class GetSensorlessEstimatesEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class Temperature(Record, frozen=True):
+class Temperature(_Typed, frozen=True):
     """Temperatures of the transistors and of the motor.
 
     from device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -530,7 +533,7 @@ class Temperature(Record, frozen=True):
     motor: float
     """°C"""
 
-class GetTemperature(Record, frozen=True):
+class GetTemperature(_Typed, frozen=True):
     """Ask for Temperature, by a remote frame.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -538,7 +541,7 @@ class GetTemperature(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetTemperatureEmpty(Record, frozen=True):
+class GetTemperatureEmpty(_Typed, frozen=True):
     """Ask for Temperature, by a data frame without data.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -546,7 +549,7 @@ class GetTemperatureEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class BusVoltageCurrent(Record, frozen=True):
+class BusVoltageCurrent(_Typed, frozen=True):
     """Voltage and current of the supply (up to 0.5.5 the voltage alone, current 0).
 
     from device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -558,7 +561,7 @@ class BusVoltageCurrent(Record, frozen=True):
     current: float
     """A"""
 
-class GetBusVoltageCurrent(Record, frozen=True):
+class GetBusVoltageCurrent(_Typed, frozen=True):
     """Ask for BusVoltageCurrent, by a remote frame.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -566,7 +569,7 @@ class GetBusVoltageCurrent(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetBusVoltageCurrentEmpty(Record, frozen=True):
+class GetBusVoltageCurrentEmpty(_Typed, frozen=True):
     """Ask for BusVoltageCurrent, by a data frame without data.
 
     to device; source: ODrive can-protocol.rst, can_simple.cpp
@@ -574,7 +577,7 @@ class GetBusVoltageCurrentEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetAdcVoltage(Record, frozen=True):
+class GetAdcVoltage(_Typed, frozen=True):
     """Ask for the voltage at a pin (0.5.6).
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -583,7 +586,7 @@ class GetAdcVoltage(Record, frozen=True):
     """the axis; 0x3F is everybody, or has no address yet"""
     gpio: int
 
-class AdcVoltage(Record, frozen=True):
+class AdcVoltage(_Typed, frozen=True):
     """The voltage at a pin.
 
     from device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -594,7 +597,7 @@ class AdcVoltage(Record, frozen=True):
     """V"""
     padding: bytes
 
-class Torques(Record, frozen=True):
+class Torques(_Typed, frozen=True):
     """Torque: wanted, and estimated from the current.
 
     from device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -606,7 +609,7 @@ class Torques(Record, frozen=True):
     estimate: float
     """N·m"""
 
-class GetTorques(Record, frozen=True):
+class GetTorques(_Typed, frozen=True):
     """Ask for Torques, by a remote frame.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -614,7 +617,7 @@ class GetTorques(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetTorquesEmpty(Record, frozen=True):
+class GetTorquesEmpty(_Typed, frozen=True):
     """Ask for Torques, by a data frame without data.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -622,7 +625,7 @@ class GetTorquesEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class Powers(Record, frozen=True):
+class Powers(_Typed, frozen=True):
     """Power: from the supply, and at the shaft.
 
     from device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -634,7 +637,7 @@ class Powers(Record, frozen=True):
     mechanical: float
     """W"""
 
-class GetPowers(Record, frozen=True):
+class GetPowers(_Typed, frozen=True):
     """Ask for Powers, by a remote frame.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -642,7 +645,7 @@ class GetPowers(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetPowersEmpty(Record, frozen=True):
+class GetPowersEmpty(_Typed, frozen=True):
     """Ask for Powers, by a data frame without data.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -650,7 +653,7 @@ class GetPowersEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class SetNodeId(Record, frozen=True):
+class SetNodeId(_Typed, frozen=True):
     """Another number.
 
     to device; dialect 0.5; source: ODrive can-protocol.rst, can_simple.cpp
@@ -660,7 +663,7 @@ class SetNodeId(Record, frozen=True):
     new_node: int
     more: bytes
 
-class SetAddress(Record, frozen=True):
+class SetAddress(_Typed, frozen=True):
     """Give the drive with this serial number a node; the connection (a byte) came with 0.6.11.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -669,13 +672,13 @@ class SetAddress(Record, frozen=True):
     serial_number: int
     connection: bytes
 
-class Discover(Record, frozen=True):
+class Discover(_Typed, frozen=True):
     """Ask everybody for node and serial number.
 
     to device; dialect 0.6; source: ODriveResources examples/can_simple_utils
     """
 
-class Address(Record, frozen=True):
+class Address(_Typed, frozen=True):
     """Node and serial number.
 
     from device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -686,7 +689,7 @@ class Address(Record, frozen=True):
     serial_number: int
     connection: bytes
 
-class Version(Record, frozen=True):
+class Version(_Typed, frozen=True):
     """Versions of the protocol, the hardware and the firmware.
 
     from device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -702,7 +705,7 @@ class Version(Record, frozen=True):
     revision: int
     unreleased: int
 
-class GetVersion(Record, frozen=True):
+class GetVersion(_Typed, frozen=True):
     """Ask for Version, by a remote frame.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -710,7 +713,7 @@ class GetVersion(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class GetVersionEmpty(Record, frozen=True):
+class GetVersionEmpty(_Typed, frozen=True):
     """Ask for Version, by a data frame without data.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp
@@ -718,7 +721,7 @@ class GetVersionEmpty(Record, frozen=True):
     node: int
     """the axis; 0x3F is everybody, or has no address yet"""
 
-class RxSdo(Record, frozen=True):
+class RxSdo(_Typed, frozen=True):
     """Read or write a parameter (or call a function) by the number that this very firmware gives it.
 
     to device; dialect 0.6; source: ODriveResources examples/can_simple_utils
@@ -730,7 +733,7 @@ class RxSdo(Record, frozen=True):
     reserved_byte: bytes
     value: bytes
 
-class TxSdo(Record, frozen=True):
+class TxSdo(_Typed, frozen=True):
     """The parameter's value (from 0.6.11 on writes are confirmed, too).
 
     from device; dialect 0.6; source: ODriveResources examples/can_simple_utils
@@ -742,7 +745,7 @@ class TxSdo(Record, frozen=True):
     reserved_byte: bytes
     value: bytes
 
-class Reboot(Record, frozen=True):
+class Reboot(_Typed, frozen=True):
     """Boot anew.
 
     to device; dialects 0.5, 0.6; source: ODrive can-protocol.rst, can_simple.cpp
@@ -751,7 +754,7 @@ class Reboot(Record, frozen=True):
     """the axis; 0x3F is everybody, or has no address yet"""
     action: Literal["reboot", "save", "erase"] | int
 
-class EnterDfu(Record, frozen=True):
+class EnterDfu(_Typed, frozen=True):
     """Wait for a new firmware.
 
     to device; dialect 0.6; source: ODriveArduino can_simple_messages.hpp

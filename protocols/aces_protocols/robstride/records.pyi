@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Protocol, Record
 
 robstride: Protocol
 
-class Command(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class Command(_Typed, frozen=True):
     """Torque = kp × (position error) + kd × (velocity error) + torque; in run mode `motion`.
 
     to device; dialects RS02, cybergear, robstride; source: cybergear-docs instructionmanual.md
@@ -21,7 +24,7 @@ class Command(Record, frozen=True):
     kp: float
     kd: float
 
-class Feedback(Record, frozen=True):
+class Feedback(_Typed, frozen=True):
     """The answer to every command; its state and faults are in the identifier.
 
     from device; dialects RS02, cybergear, robstride; source: Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -44,7 +47,7 @@ class Feedback(Record, frozen=True):
     """0…6553.5 °C"""
     hall_encoder: int
 
-class Enable(Record, frozen=True):
+class Enable(_Typed, frozen=True):
     """Switch the motor on.
 
     to device; source: cybergear-docs instructionmanual.md
@@ -55,7 +58,7 @@ class Enable(Record, frozen=True):
     """the motor's number, 0x7F from the factory"""
     padding: bytes
 
-class Stop(Record, frozen=True):
+class Stop(_Typed, frozen=True):
     """Switch it off; clear 1: clear the faults, too.
 
     to device; source: cybergear-docs instructionmanual.md
@@ -67,7 +70,7 @@ class Stop(Record, frozen=True):
     clear: int
     padding: bytes
 
-class SetZero(Record, frozen=True):
+class SetZero(_Typed, frozen=True):
     """The present position becomes zero (CyberGear: until power-off); confirm is 1.
 
     to device; source: cybergear-docs instructionmanual.md
@@ -79,7 +82,7 @@ class SetZero(Record, frozen=True):
     confirm: int
     padding: bytes
 
-class GetId(Record, frozen=True):
+class GetId(_Typed, frozen=True):
     """Ask for the unique id.
 
     to device; source: cybergear-docs instructionmanual.md
@@ -90,7 +93,7 @@ class GetId(Record, frozen=True):
     """the motor's number, 0x7F from the factory"""
     padding: bytes
 
-class Id(Record, frozen=True):
+class Id(_Typed, frozen=True):
     """A motor's unique id: the answer to GetId and SetId.
 
     from device; source: cybergear-docs instructionmanual.md
@@ -99,7 +102,7 @@ class Id(Record, frozen=True):
     """the motor's number, 0x7F from the factory"""
     unique_id: int
 
-class SetId(Record, frozen=True):
+class SetId(_Typed, frozen=True):
     """Give the motor another number.
 
     to device; source: cybergear-docs instructionmanual.md
@@ -112,7 +115,7 @@ class SetId(Record, frozen=True):
     confirm: int
     padding: bytes
 
-class ReadParameter(Record, frozen=True):
+class ReadParameter(_Typed, frozen=True):
     """Ask for a parameter.
 
     to device; source: cybergear-docs instructionmanual.md
@@ -125,7 +128,7 @@ class ReadParameter(Record, frozen=True):
     gap: bytes
     padding: bytes
 
-class FloatParameter(Record, frozen=True):
+class FloatParameter(_Typed, frozen=True):
     """A parameter's value; with status `error` it means nothing (kscalelabs).
 
     from device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -139,7 +142,7 @@ class FloatParameter(Record, frozen=True):
     gap: bytes
     value: float
 
-class WriteFloat(Record, frozen=True):
+class WriteFloat(_Typed, frozen=True):
     """Write a parameter, until power-off; answered by a Feedback. The run mode changes while it is stopped only.
 
     to device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -152,7 +155,7 @@ class WriteFloat(Record, frozen=True):
     gap: bytes
     value: float
 
-class ByteParameter(Record, frozen=True):
+class ByteParameter(_Typed, frozen=True):
     """A parameter's value; with status `error` it means nothing (kscalelabs).
 
     from device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -167,7 +170,7 @@ class ByteParameter(Record, frozen=True):
     value: int
     padding: bytes
 
-class WriteByte(Record, frozen=True):
+class WriteByte(_Typed, frozen=True):
     """Write a parameter, until power-off; answered by a Feedback. The run mode changes while it is stopped only.
 
     to device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -181,7 +184,7 @@ class WriteByte(Record, frozen=True):
     value: int
     padding: bytes
 
-class ShortParameter(Record, frozen=True):
+class ShortParameter(_Typed, frozen=True):
     """A parameter's value; with status `error` it means nothing (kscalelabs).
 
     from device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -196,7 +199,7 @@ class ShortParameter(Record, frozen=True):
     value: int
     padding: bytes
 
-class WriteShort(Record, frozen=True):
+class WriteShort(_Typed, frozen=True):
     """Write a parameter, until power-off; answered by a Feedback. The run mode changes while it is stopped only.
 
     to device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -210,7 +213,7 @@ class WriteShort(Record, frozen=True):
     value: int
     padding: bytes
 
-class LongParameter(Record, frozen=True):
+class LongParameter(_Typed, frozen=True):
     """A parameter's value; with status `error` it means nothing (kscalelabs).
 
     from device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -224,7 +227,7 @@ class LongParameter(Record, frozen=True):
     gap: bytes
     value: int
 
-class WriteLong(Record, frozen=True):
+class WriteLong(_Typed, frozen=True):
     """Write a parameter, until power-off; answered by a Feedback. The run mode changes while it is stopped only.
 
     to device; source: cybergear-docs instructionmanual.md; Robstride-Dynamics-Python-SDK protocol.py, table.py
@@ -251,7 +254,7 @@ class _FaultReport_faults(FlagSet):
 class _FaultReport_warnings(FlagSet):
     motor_over_temperature: bool
 
-class FaultReport(Record, frozen=True):
+class FaultReport(_Typed, frozen=True):
     """Faults and warnings, by itself when one comes.
 
     from device; source: cybergear-docs instructionmanual.md
@@ -263,7 +266,7 @@ class FaultReport(Record, frozen=True):
     faults: _FaultReport_faults
     warnings: _FaultReport_warnings
 
-class SetBaud(Record, frozen=True):
+class SetBaud(_Typed, frozen=True):
     """Another bit rate, from the next power-on.
 
     to device; dialects RS02, cybergear, robstride; source: cybergear-docs instructionmanual.md
@@ -275,7 +278,7 @@ class SetBaud(Record, frozen=True):
     rate: Literal["1M", "500k", "250k", "125k"] | int
     padding: bytes
 
-class Save(Record, frozen=True):
+class Save(_Typed, frozen=True):
     """Keep the parameters for good.
 
     to device; dialects RS02, robstride; source: Robstride-Dynamics-Python-SDK protocol.py, table.py

@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Part, Protocol, Record
 
 uds: Protocol
 
-class Other(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class Other(_Typed, frozen=True):
     """A request of another service, or in another form, than is declared here.
 
     to device; source: ISO 14229-1
@@ -18,7 +21,7 @@ class Other(Record, frozen=True):
     service: Literal["change_session", "reset", "clear_codes", "read_codes", "read_data", "security", "write_data", "control_routine", "begin_download", "transfer_data", "end_transfer", "tester_present", "read_memory", "read_scaling", "control_communication", "authenticate", "read_periodically", "define_identifier", "control_outputs", "begin_upload", "transfer_file", "write_memory", "access_timing", "secured_data", "control_code_setting", "respond_on_event", "control_link"] | int
     data: bytes
 
-class OtherAll(Record, frozen=True):
+class OtherAll(_Typed, frozen=True):
     """A request of another service, or in another form, than is declared here.
 
     to device; source: ISO 14229-1
@@ -26,7 +29,7 @@ class OtherAll(Record, frozen=True):
     service: Literal["change_session", "reset", "clear_codes", "read_codes", "read_data", "security", "write_data", "control_routine", "begin_download", "transfer_data", "end_transfer", "tester_present", "read_memory", "read_scaling", "control_communication", "authenticate", "read_periodically", "define_identifier", "control_outputs", "begin_upload", "transfer_file", "write_memory", "access_timing", "secured_data", "control_code_setting", "respond_on_event", "control_link"] | int
     data: bytes
 
-class ChangeSession(Record, frozen=True):
+class ChangeSession(_Typed, frozen=True):
     """Begin a session; one that is not the default ends after 5 s without requests.
 
     to device; source: ISO 14229-1
@@ -36,7 +39,7 @@ class ChangeSession(Record, frozen=True):
     session: Literal["default", "programming", "extended", "safety"] | int
     suppress: int
 
-class ChangeSessionAll(Record, frozen=True):
+class ChangeSessionAll(_Typed, frozen=True):
     """ChangeSession of all ECUs.
 
     to device; source: ISO 14229-1
@@ -44,7 +47,7 @@ class ChangeSessionAll(Record, frozen=True):
     session: Literal["default", "programming", "extended", "safety"] | int
     suppress: int
 
-class Session(Record, frozen=True):
+class Session(_Typed, frozen=True):
     """A session has begun; how soon answers begin (P2), and how soon after `response_pending` (P2*).
 
     from device; source: ISO 14229-1
@@ -57,7 +60,7 @@ class Session(Record, frozen=True):
     patience: float
     """0…655.35 s"""
 
-class Reset(Record, frozen=True):
+class Reset(_Typed, frozen=True):
     """Boot anew.
 
     to device; source: ISO 14229-1
@@ -67,7 +70,7 @@ class Reset(Record, frozen=True):
     kind: Literal["hard", "key_off_on", "soft", "enable_rapid_power_off", "disable_rapid_power_off"] | int
     suppress: int
 
-class ResetAll(Record, frozen=True):
+class ResetAll(_Typed, frozen=True):
     """Reset of all ECUs.
 
     to device; source: ISO 14229-1
@@ -75,7 +78,7 @@ class ResetAll(Record, frozen=True):
     kind: Literal["hard", "key_off_on", "soft", "enable_rapid_power_off", "disable_rapid_power_off"] | int
     suppress: int
 
-class ResetBegins(Record, frozen=True):
+class ResetBegins(_Typed, frozen=True):
     """It boots; `more` is the time until it is off (s), of `enable_rapid_power_off` alone.
 
     from device; source: ISO 14229-1
@@ -85,7 +88,7 @@ class ResetBegins(Record, frozen=True):
     kind: Literal["hard", "key_off_on", "soft", "enable_rapid_power_off", "disable_rapid_power_off"] | int
     more: bytes
 
-class TesterPresent(Record, frozen=True):
+class TesterPresent(_Typed, frozen=True):
     """Keep the session.
 
     to device; source: ISO 14229-1
@@ -95,7 +98,7 @@ class TesterPresent(Record, frozen=True):
     none: int
     suppress: int
 
-class TesterPresentAll(Record, frozen=True):
+class TesterPresentAll(_Typed, frozen=True):
     """TesterPresent of all ECUs.
 
     to device; source: ISO 14229-1
@@ -103,7 +106,7 @@ class TesterPresentAll(Record, frozen=True):
     none: int
     suppress: int
 
-class TesterSeen(Record, frozen=True):
+class TesterSeen(_Typed, frozen=True):
     """The session is kept.
 
     from device; source: ISO 14229-1
@@ -112,7 +115,7 @@ class TesterSeen(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     none: int
 
-class AccessSecurity(Record, frozen=True):
+class AccessSecurity(_Typed, frozen=True):
     """An odd step asks for a seed, the next one sends its key in `data`.
 
     to device; source: ISO 14229-1
@@ -124,7 +127,7 @@ class AccessSecurity(Record, frozen=True):
     data: bytes
     """bytes behind the declared ones"""
 
-class AccessSecurityAll(Record, frozen=True):
+class AccessSecurityAll(_Typed, frozen=True):
     """AccessSecurity of all ECUs.
 
     to device; source: ISO 14229-1
@@ -134,7 +137,7 @@ class AccessSecurityAll(Record, frozen=True):
     data: bytes
     """bytes behind the declared ones"""
 
-class Security(Record, frozen=True):
+class Security(_Typed, frozen=True):
     """The seed (zeros: it is unlocked), or, without data, that the key is right.
 
     from device; source: ISO 14229-1
@@ -144,7 +147,7 @@ class Security(Record, frozen=True):
     step: int
     data: bytes
 
-class ReadData(Record, frozen=True):
+class ReadData(_Typed, frozen=True):
     """Ask for values by their identifiers.
 
     to device; source: ISO 14229-1
@@ -153,7 +156,7 @@ class ReadData(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     identifiers: tuple[int, ...]
 
-class ReadDataAll(Record, frozen=True):
+class ReadDataAll(_Typed, frozen=True):
     """ReadData of all ECUs.
 
     to device; source: ISO 14229-1
@@ -272,7 +275,7 @@ class _Data_values(Part, frozen=True):
     data: Literal["default", "programming", "extended", "safety"] | int | str | _Data_values_supported_01 | _Data_values_supported_21 | _Data_values_supported_41 | _Data_values_monitor_status | float | Literal["OBD_II_CARB", "OBD_EPA", "OBD_and_OBD_II", "OBD_I", "none", "EOBD", "EOBD_and_OBD_II", "EOBD_and_OBD", "EOBD_OBD_and_OBD_II", "JOBD", "JOBD_and_OBD_II", "JOBD_and_EOBD", "JOBD_EOBD_and_OBD_II"] | bytes
     reason: str | None
 
-class Data(Record, frozen=True):
+class Data(_Typed, frozen=True):
     """Values.
 
     from device; source: ISO 14229-1
@@ -281,7 +284,7 @@ class Data(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     values: tuple[_Data_values, ...]
 
-class WriteData(Record, frozen=True):
+class WriteData(_Typed, frozen=True):
     """Write a value: its bytes.
 
     to device; source: ISO 14229-1
@@ -291,7 +294,7 @@ class WriteData(Record, frozen=True):
     identifier: int
     data: bytes
 
-class WriteDataAll(Record, frozen=True):
+class WriteDataAll(_Typed, frozen=True):
     """WriteData of all ECUs.
 
     to device; source: ISO 14229-1
@@ -299,7 +302,7 @@ class WriteDataAll(Record, frozen=True):
     identifier: int
     data: bytes
 
-class DataWritten(Record, frozen=True):
+class DataWritten(_Typed, frozen=True):
     """It was written.
 
     from device; source: ISO 14229-1
@@ -308,7 +311,7 @@ class DataWritten(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     identifier: int
 
-class ControlRoutine(Record, frozen=True):
+class ControlRoutine(_Typed, frozen=True):
     """Start or stop a routine, or ask for its results; what its data are the vehicle's maker knows.
 
     to device; source: ISO 14229-1
@@ -321,7 +324,7 @@ class ControlRoutine(Record, frozen=True):
     data: bytes
     """bytes behind the declared ones"""
 
-class ControlRoutineAll(Record, frozen=True):
+class ControlRoutineAll(_Typed, frozen=True):
     """ControlRoutine of all ECUs.
 
     to device; source: ISO 14229-1
@@ -332,7 +335,7 @@ class ControlRoutineAll(Record, frozen=True):
     data: bytes
     """bytes behind the declared ones"""
 
-class Routine(Record, frozen=True):
+class Routine(_Typed, frozen=True):
     """A routine was started or stopped, or its results.
 
     from device; source: ISO 14229-1
@@ -343,7 +346,7 @@ class Routine(Record, frozen=True):
     routine: int
     data: bytes
 
-class BeginDownload(Record, frozen=True):
+class BeginDownload(_Typed, frozen=True):
     """Announce data for a place in memory. `method`: compression and encryption, 0 for neither. `widths`: how many bytes size (high nibble) and address (low nibble) have.
 
     to device; source: ISO 14229-1
@@ -355,7 +358,7 @@ class BeginDownload(Record, frozen=True):
     address: Any
     size: Any
 
-class DownloadBegins(Record, frozen=True):
+class DownloadBegins(_Typed, frozen=True):
     """It takes them, in requests of up to `longest` bytes; the high nibble of `width` says how many bytes that has.
 
     from device; source: ISO 14229-1
@@ -365,7 +368,7 @@ class DownloadBegins(Record, frozen=True):
     width: int
     longest: Any
 
-class TransferData(Record, frozen=True):
+class TransferData(_Typed, frozen=True):
     """A piece of the data; the first one has number 1, and behind 255 comes 0.
 
     to device; source: ISO 14229-1
@@ -375,7 +378,7 @@ class TransferData(Record, frozen=True):
     number: int
     data: bytes
 
-class DataTransferred(Record, frozen=True):
+class DataTransferred(_Typed, frozen=True):
     """The piece has arrived.
 
     from device; source: ISO 14229-1
@@ -385,7 +388,7 @@ class DataTransferred(Record, frozen=True):
     number: int
     data: bytes
 
-class EndTransfer(Record, frozen=True):
+class EndTransfer(_Typed, frozen=True):
     """That was all.
 
     to device; source: ISO 14229-1
@@ -394,7 +397,7 @@ class EndTransfer(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     data: bytes
 
-class TransferEnded(Record, frozen=True):
+class TransferEnded(_Typed, frozen=True):
     """It has all of them.
 
     from device; source: ISO 14229-1
@@ -413,7 +416,7 @@ class _CountCodes_status(FlagSet):
     not_tested_this_cycle: bool
     lamp: bool
 
-class CountCodes(Record, frozen=True):
+class CountCodes(_Typed, frozen=True):
     """How many codes have one of these bits of status?
 
     to device; source: ISO 14229-1
@@ -432,7 +435,7 @@ class _CountCodesAll_status(FlagSet):
     not_tested_this_cycle: bool
     lamp: bool
 
-class CountCodesAll(Record, frozen=True):
+class CountCodesAll(_Typed, frozen=True):
     """CountCodes of all ECUs.
 
     to device; source: ISO 14229-1
@@ -449,7 +452,7 @@ class _CodeCount_available(FlagSet):
     not_tested_this_cycle: bool
     lamp: bool
 
-class CodeCount(Record, frozen=True):
+class CodeCount(_Typed, frozen=True):
     """How many there are; `available` are the bits of status that this ECU has, `format` 1 is ISO 14229-1's.
 
     from device; source: ISO 14229-1
@@ -470,7 +473,7 @@ class _ReadCodes_status(FlagSet):
     not_tested_this_cycle: bool
     lamp: bool
 
-class ReadCodes(Record, frozen=True):
+class ReadCodes(_Typed, frozen=True):
     """Ask for the codes that have one of these bits of status.
 
     to device; source: ISO 14229-1
@@ -489,7 +492,7 @@ class _ReadCodesAll_status(FlagSet):
     not_tested_this_cycle: bool
     lamp: bool
 
-class ReadCodesAll(Record, frozen=True):
+class ReadCodesAll(_Typed, frozen=True):
     """ReadCodes of all ECUs.
 
     to device; source: ISO 14229-1
@@ -520,7 +523,7 @@ class _Codes_codes(Part, frozen=True):
     code: Any
     status: _Codes_codes_status
 
-class Codes(Record, frozen=True):
+class Codes(_Typed, frozen=True):
     """Codes with their status.
 
     from device; source: ISO 14229-1
@@ -530,7 +533,7 @@ class Codes(Record, frozen=True):
     available: _Codes_available
     codes: tuple[_Codes_codes, ...]
 
-class ReadKnownCodes(Record, frozen=True):
+class ReadKnownCodes(_Typed, frozen=True):
     """Ask for all codes that it can report.
 
     to device; source: ISO 14229-1
@@ -538,7 +541,7 @@ class ReadKnownCodes(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class ReadKnownCodesAll(Record, frozen=True):
+class ReadKnownCodesAll(_Typed, frozen=True):
     """ReadKnownCodes of all ECUs.
 
     to device; source: ISO 14229-1
@@ -568,7 +571,7 @@ class _KnownCodes_codes(Part, frozen=True):
     code: Any
     status: _KnownCodes_codes_status
 
-class KnownCodes(Record, frozen=True):
+class KnownCodes(_Typed, frozen=True):
     """All codes that it can report, with their status.
 
     from device; source: ISO 14229-1
@@ -578,7 +581,7 @@ class KnownCodes(Record, frozen=True):
     available: _KnownCodes_available
     codes: tuple[_KnownCodes_codes, ...]
 
-class ClearCodes(Record, frozen=True):
+class ClearCodes(_Typed, frozen=True):
     """Clear the codes of a group; 0xFFFFFF: all.
 
     to device; source: ISO 14229-1
@@ -587,14 +590,14 @@ class ClearCodes(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     group: int
 
-class ClearCodesAll(Record, frozen=True):
+class ClearCodesAll(_Typed, frozen=True):
     """ClearCodes of all ECUs.
 
     to device; source: ISO 14229-1
     """
     group: int
 
-class CodesCleared(Record, frozen=True):
+class CodesCleared(_Typed, frozen=True):
     """Codes were cleared.
 
     from device; source: ISO 14229-1
@@ -602,7 +605,7 @@ class CodesCleared(Record, frozen=True):
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
 
-class Refused(Record, frozen=True):
+class Refused(_Typed, frozen=True):
     """An ECU refuses a request, or asks for patience (`response_pending`).
 
     from device; source: ISO 14229-1

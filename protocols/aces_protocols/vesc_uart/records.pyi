@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Protocol, Record
 
 vesc_uart: Protocol
 
-class GetValues(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class GetValues(_Typed, frozen=True):
     """Ask for all values; it restarts their averages.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -18,7 +21,7 @@ class _Values_status(FlagSet):
     timed_out: bool
     kill_switch: bool
 
-class Values(Record, frozen=True):
+class Values(_Typed, frozen=True):
     """All values, of firmware 6.00 and later.
 
     from device; source: vedderb/bldc comm/commands.c
@@ -62,7 +65,7 @@ class Values(Record, frozen=True):
     """-2.14748e+06…2.14748e+06 V"""
     status: _Values_status
 
-class ValuesOf5(Record, frozen=True):
+class ValuesOf5(_Typed, frozen=True):
     """All values, of firmware 4.02 to 5.00.
 
     from device; source: vedderb/bldc comm/commands.c
@@ -105,7 +108,7 @@ class ValuesOf5(Record, frozen=True):
     q_voltage: float
     """-2.14748e+06…2.14748e+06 V"""
 
-class ValuesOf3(Record, frozen=True):
+class ValuesOf3(_Typed, frozen=True):
     """All values, of firmware 3.40.
 
     from device; source: vedderb/bldc comm/commands.c
@@ -142,14 +145,14 @@ class ValuesOf3(Record, frozen=True):
     """-2147.48…2147.48 °"""
     controller: int
 
-class GetSelected(Record, frozen=True):
+class GetSelected(_Typed, frozen=True):
     """Ask for the values of the bits of `mask`, see VALUES.
 
     to device; source: vedderb/bldc comm/commands.c
     """
     mask: int
 
-class Selected(Record, frozen=True):
+class Selected(_Typed, frozen=True):
     """The values of the bits of `mask`; others are unknown.
 
     from device; source: vedderb/bldc comm/commands.c
@@ -178,13 +181,13 @@ class Selected(Record, frozen=True):
     q_voltage: Any
     status: Any
 
-class GetFirmware(Record, frozen=True):
+class GetFirmware(_Typed, frozen=True):
     """Ask for version, hardware, and chip.
 
     to device; source: vedderb/bldc comm/commands.c
     """
 
-class Firmware(Record, frozen=True):
+class Firmware(_Typed, frozen=True):
     """Version and hardware.
 
     from device; source: vedderb/bldc comm/commands.c
@@ -194,27 +197,27 @@ class Firmware(Record, frozen=True):
     hardware: Any
     more: bytes
 
-class PingCan(Record, frozen=True):
+class PingCan(_Typed, frozen=True):
     """Ask for the controllers that it finds on its CAN bus.
 
     to device; source: vedderb/bldc comm/commands.c
     """
 
-class CanDevices(Record, frozen=True):
+class CanDevices(_Typed, frozen=True):
     """The numbers of controllers on its CAN bus.
 
     from device; source: vedderb/bldc comm/commands.c
     """
     devices: tuple[int, ...]
 
-class SetDuty(Record, frozen=True):
+class SetDuty(_Typed, frozen=True):
     """Drive at a share of the supply.
 
     to device; source: vedderb/bldc comm/commands.c
     """
     duty: float
 
-class SetCurrent(Record, frozen=True):
+class SetCurrent(_Typed, frozen=True):
     """Drive with a motor current; 0 releases the motor.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -222,7 +225,7 @@ class SetCurrent(Record, frozen=True):
     current: float
     """-2.14748e+06…2.14748e+06 A"""
 
-class SetBrakeCurrent(Record, frozen=True):
+class SetBrakeCurrent(_Typed, frozen=True):
     """Brake with a motor current.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -230,7 +233,7 @@ class SetBrakeCurrent(Record, frozen=True):
     current: float
     """-2.14748e+06…2.14748e+06 A"""
 
-class SetHandbrake(Record, frozen=True):
+class SetHandbrake(_Typed, frozen=True):
     """Hold where it is, with a current.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -238,7 +241,7 @@ class SetHandbrake(Record, frozen=True):
     current: float
     """-2.14748e+06…2.14748e+06 A"""
 
-class SetSpeed(Record, frozen=True):
+class SetSpeed(_Typed, frozen=True):
     """Hold an electrical speed: pole pairs × that of the motor.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -246,7 +249,7 @@ class SetSpeed(Record, frozen=True):
     speed: int
     """-2147483648…2147483647 rpm"""
 
-class SetPosition(Record, frozen=True):
+class SetPosition(_Typed, frozen=True):
     """Hold an angle of the encoder; it is taken within a turn.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -254,54 +257,54 @@ class SetPosition(Record, frozen=True):
     position: float
     """-2147.48…2147.48 °"""
 
-class SetCurrentRelative(Record, frozen=True):
+class SetCurrentRelative(_Typed, frozen=True):
     """Drive with a share of the maximum current.
 
     to device; source: vedderb/bldc comm/commands.c
     """
     current: float
 
-class SetServo(Record, frozen=True):
+class SetServo(_Typed, frozen=True):
     """Where a model servo on its output is to be.
 
     to device; source: vedderb/bldc comm/commands.c
     """
     position: float
 
-class Alive(Record, frozen=True):
+class Alive(_Typed, frozen=True):
     """Restart the time-out, and nothing else.
 
     to device; source: vedderb/bldc comm/commands.c
     """
 
-class Reboot(Record, frozen=True):
+class Reboot(_Typed, frozen=True):
     """Switch it off and on.
 
     to device; source: vedderb/bldc comm/commands.c
     """
 
-class Terminal(Record, frozen=True):
+class Terminal(_Typed, frozen=True):
     """A line to its terminal.
 
     to device; source: vedderb/bldc comm/commands.c
     """
     text: bytes
 
-class Print(Record, frozen=True):
+class Print(_Typed, frozen=True):
     """A line of its terminal.
 
     from device; source: vedderb/bldc comm/commands.c
     """
     text: bytes
 
-class SetDisplay(Record, frozen=True):
+class SetDisplay(_Typed, frozen=True):
     """Have it send angles, again and again.
 
     to device; source: vedderb/bldc comm/commands.c
     """
     mode: Literal["none", "encoder", "position", "error"] | int
 
-class RotorPosition(Record, frozen=True):
+class RotorPosition(_Typed, frozen=True):
     """An angle, as SetDisplay has it.
 
     from device; source: vedderb/bldc comm/commands.c
@@ -309,7 +312,7 @@ class RotorPosition(Record, frozen=True):
     position: float
     """-21474.8…21474.8 °"""
 
-class ForwardCan(Record, frozen=True):
+class ForwardCan(_Typed, frozen=True):
     """Give a packet to a controller on its CAN bus, whose answer comes as if it were its own.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -317,7 +320,7 @@ class ForwardCan(Record, frozen=True):
     controller: int
     packet: bytes
 
-class SendCanFrame(Record, frozen=True):
+class SendCanFrame(_Typed, frozen=True):
     """Send a frame on its CAN bus.
 
     to device; source: vedderb/bldc comm/commands.c
@@ -326,7 +329,7 @@ class SendCanFrame(Record, frozen=True):
     extended: int
     data: bytes
 
-class LongAnswer(Record, frozen=True):
+class LongAnswer(_Typed, frozen=True):
     """An answer of 256 bytes and more: configurations, custom data; `data` begins with its number.
 
     from device; source: vedderb/bldc comm/packet.c
