@@ -74,6 +74,9 @@ class _Printer:
                 self._lose(
                     message.name, "", f"carried by {title}, whose packets are not put together: left out"
                 )
+            elif message.ways[-1] is not message.transport and message.ways[-1] is not None:
+                title = message.ways[-1].title
+                self._lose(message.name, "", f"packets that come by {title} are not put together")
         carried = (m.transport for m in self.modes["both"][0] if m.transport is not None)
         self.transports = list(dict.fromkeys(carried))
         self.framings = list(dict.fromkeys(m.framing for m in self.modes["both"][0] if m.framing is not None))
