@@ -196,7 +196,9 @@ def _others(value: Any) -> Iterator[Change]:
     elif isinstance(value, bool) or value is None:
         yield from _each(0, 1, -1, "on", 0.5, b"")
     elif isinstance(value, int):
-        yield from _each(value + 1, value - 1, -value, ~value, value + 0.5, value + 0.75, float(value))
+        yield from _each(value + 1, value - 1, -value, ~value)
+        if abs(value) < 1 << 64:  # a float ends at 2¹⁰²⁴, and reserved bits may be more
+            yield from _each(value + 0.5, value + 0.75, float(value))
         yield from _each(1 << 64, -1, True, None, str(value), float("nan"), [value])
     elif isinstance(value, float):
         yield from _each(value * 0.9997, value * 1.0003, value + 0.4, value - 0.4, -value, 1e300, -1e300)

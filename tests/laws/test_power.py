@@ -17,6 +17,7 @@ from hypothesis import settings
 
 from aces_bus.protocol import (
     BitLayout,
+    Cobs,
     Crc,
     Flags,
     IdField,
@@ -24,6 +25,7 @@ from aces_bus.protocol import (
     Protocol,
     Quantity,
     SignMagnitude,
+    Sum,
     bits,
 )
 from aces_bus.protocol.counts import ScanCounts
@@ -311,3 +313,17 @@ def test_check_work_is_what_checks_read(monkeypatch: pytest.MonkeyPatch) -> None
         scanner.close()
         # The head and the check byte itself are counted with a record, and not read by its check.
         assert abs(scanner.check_work - summed) <= 3 * scanner.counts.records + scanner.counts.unknown
+
+
+def test_laws_of_packets_that_are_mostly_reserved_or_stuffed_without_a_check() -> None:
+    """1,168 bits without a name are asked like any others; false packets of a framing without a check cost no checks."""
+    wide = Protocol("wide", link="serial")
+    framing = wide.framing(sync=b"\xaa", size=150, check=Sum(), max_size=150)
+    wide.message("A", framing=framing, payload=BitLayout(148, "x" / bits(16, 0)))
+    bare = Protocol("bare", link="serial")
+    ended = bare.framing(header=Struct("id" / Byte), end=b"\0", stuffing=Cobs(), max_size=24)
+    bare.message("A", framing=ended, match={"id": 1}, payload=Struct("x" / Int16ul))
+    bare.message("B", framing=ended, match={"id": 2}, payload=Struct("x" / GreedyBytes))
+    for protocol, law in ((wide, LAWS[1]), (bare, LAWS[6])):
+        for seed in range(12):
+            law(protocol.variant(), "both", *drawn_arguments(law, protocol.variant(), "both", seed))

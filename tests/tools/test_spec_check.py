@@ -224,6 +224,21 @@ def test_no_check_ends_in_a_traceback(
     assert result.out.startswith(f"sound.py:4: error: A: {said}: RuntimeError: out of order [law]\n")
 
 
+def test_an_expression_that_asks_the_wrong_struct_is_told_which(aces: Aces, written: Path) -> None:
+    """`this.x` of a payload for a field of the identifier: what to write is said, not KeyError."""
+    Path("outer.py").write_text(
+        f"""{HEAD}p = Protocol("outer", link="can")
+p.message("A", id=0x100 + IdField("n", range(4)), payload=Struct("y" / Byte, "z" / If(this.n & 1, Int16ul)))
+"""
+    )
+    result = aces("spec", "check", "outer.py", "--for", "0.001")
+    assert result.status == 1
+    assert (
+        "an expression asks for this.n, and no field 'n' is read before it in its own struct;"
+        " fields of the identifier and the header are this._.n in a payload [law]" in result.out
+    )
+
+
 def test_colour_only_where_it_is_wanted(aces: Aces, written: Path) -> None:
     """Plain in a pipe, coloured when asked for."""
     Path("doubt.py").write_text(DOUBTFUL)

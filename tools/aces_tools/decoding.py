@@ -27,6 +27,8 @@ from .output.shape import Plans, plans_of
 from .patience import Patience
 from .protocols_arg import parse_protocols
 
+#: Bytes of the beginnings of streams that are kept.
+_SAMPLE = 65_536
 #: Options that leave something out, by the names of their arguments.
 FILTERS = (
     ("start", "--from"),
@@ -78,6 +80,8 @@ class Decoding(ABC):
         self.interrupted = False
         #: What was last said to be wrong.
         self.complaint = ""
+        #: The first bytes of streams: what they lack may say why nothing was decoded.
+        self.sample = b""
         #: Unreadable lines of this file that have been named.
         self.shown = 0
 
@@ -103,6 +107,7 @@ class Decoding(ABC):
             for chunk in reading:
                 if chunk.data:
                     self._see(to_ns(chunk.time))
+                    self.sample += chunk.data[: _SAMPLE - len(self.sample)]
                 for items in ways.feed(chunk):
                     self._found(items, totals)
                 self._after(capture)
@@ -270,7 +275,7 @@ class Decoding(ABC):
                     f"{variant.name}: {message.name} and {other.name} differ by direction alone, and are unknown:"
                     " give --direction to|from|both"
                 )
-        for total in totals.values():
+        for link, total in totals.items():
             if total.dropped:
                 say(f"the recorder says that it lost {counted(total.dropped, 'frame')}")
             if total.missed:
@@ -279,7 +284,8 @@ class Decoding(ABC):
             if not self.plans or not total["total"] or total["decoded"]:
                 continue
             if not total["filtered"]:
-                say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
+                asked = "is this the right protocol, dialect, configuration and direction?"
+                say(f"nothing was decoded: {asked}{self._half_end() if link == 'serial' else ''}")
             elif given := [option for name, option in FILTERS if getattr(self.arguments, name, None)]:
                 say(f"nothing that was decoded passed {', '.join(given)}")
         faults = [fault for total in totals.values() for fault in total.faults]
@@ -288,6 +294,18 @@ class Decoding(ABC):
             self.status = self.status or 1
         for link, total in totals.items():
             say(self._summary(link, total), who="")
+
+    def _half_end(self) -> str:
+        """Say that packets have only the last byte of their end: a text whose CR LF became LF; "" where that is not so."""
+        for variant in self.variants["serial"]:
+            for end in {message.framing.end for message in variant.messages.values() if message.framing}:
+                if len(end) > 1 and end not in self.sample and (count := self.sample.count(end[-1:])):
+                    return (
+                        f" Packets of {variant.name} end with {end.hex(' ').upper()}, and here is {end[-1:].hex().upper()}"
+                        f" {count} times without {end[:-1].hex(' ').upper()} before it"
+                        + (" (unix2dos puts it back)" if end == b"\r\n" else "")
+                    )
+        return ""
 
     def _summary(self, link: Link, total: Totals) -> str:
         """Return the last line of a kind of link."""

@@ -150,7 +150,8 @@ class Segments:
             self._end = buffer.index(framing.end, start)
             self._segment = None
             self.work += self._end - start
-            self.checked += self._end - start
+            if framing.check is not None:
+                self.checked += self._end - start
         return verdict_of(judged, start)
 
     def _judge(self, buffer: bytes, start: int) -> tuple[str, int, str]:
@@ -169,7 +170,7 @@ class Segments:
         judged = framing.judge_data(
             data + framing.end, buffer[start : self._end + len(framing.end)], self._extras
         )
-        if judged.verdict is Verdict.BAD and judged.reason != "length":
+        if judged.verdict is Verdict.BAD and judged.reason != "length" and framing.check is not None:
             self.checked += len(data)
         self._data = judged.data
         return verdict_of(judged, start)

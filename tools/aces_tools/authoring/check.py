@@ -542,12 +542,18 @@ def finding_of_error(error: BaseException, protocol: Protocol, what: str) -> Fin
         elif isinstance(value, Construct) and value.name and not (owner or name):
             name = str(value.name)
     path = ".".join(part for part in (owner, name) if part)
-    said = " ".join(str(error).split())[:300]
+    said = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+    if isinstance(error, KeyError) and (asked := str(error.args[0]) if error.args else ""):
+        said = (
+            f"an expression asks for this.{asked}, and no field {asked!r} is read before it in its own struct"
+        )
+        if any(asked in message.outer_names for message in protocol.declared if owner in ("", message.name)):
+            said += f"; fields of the identifier and the header are this._.{asked} in a payload"
     return Finding(
         "error",
         "law",
         place or protocol.place,
-        f"{f'{path}: ' if path else ''}{what}: {type(error).__name__}: {said}",
+        f"{f'{path}: ' if path else ''}{what}: {said}",
         owner or None,
     )
 
