@@ -65,6 +65,8 @@ $(VENV)/.oracles: $(VENV)/.dev
 	@$(call TWICE,$(PIP) --constraint constraints.txt --editable '.[oracles]')
 	@# Beside the others: it has a package `tests` that would take the place of ours.
 	@$(call TWICE,$(PIP) --no-deps --upgrade --target $(VENV)/pyvesc 'pyvesc-fix==1.0.3')
+	@# By itself: it asks for another construct, and runs with ours.
+	@$(call TWICE,$(PIP) --no-deps 'crsf-parser==0.3.2')
 	@touch $@
 
 $(VENV)/.bench: $(VENV)/.python pyproject.toml

@@ -1,4 +1,5 @@
-"""The catalogue's table in README.md, made of the `manifest.toml` beside each driver: `python docs/catalogue.py`.
+"""The catalogue's table in README.md, made of the `manifest.toml` beside each driver, and beside each protocol without one:
+`python docs/catalogue.py`.
 
 1. A manifest says who keeps a folder (`owner`), what it promises (`level`: stable, provisional), and of each `[[device]]`
    its title, link, protocols, drivers, sources, the `oracle` that it is held against, and when that was last run
@@ -26,8 +27,11 @@ OTHERS = (
 
 
 def manifests() -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield the manifest of each folder of drivers, read."""
-    for path in sorted((ROOT / "devices" / "aces_devices").glob("*/manifest.toml")):
+    """Yield the manifest of each folder of drivers, and of each protocol without one, read."""
+    for path in [
+        *sorted((ROOT / "devices" / "aces_devices").glob("*/manifest.toml")),
+        *sorted((ROOT / "protocols" / "aces_protocols").glob("*/manifest.toml")),
+    ]:
         yield path, tomllib.loads(path.read_text(encoding="utf-8"))
 
 
@@ -41,7 +45,8 @@ def faults() -> list[str]:
         if manifest.get("level") not in LEVELS:
             found.append(f"{name}: level is one of {', '.join(LEVELS)}")
         for device in manifest.get("device", ()):
-            found += [f"{name}: a device without {key}" for key in NEEDED if not device.get(key)]
+            needed = [key for key in NEEDED if key != "drivers" or "devices" in path.parts[-4:]]
+            found += [f"{name}: a device without {key}" for key in needed if not device.get(key)]
     return found
 
 
@@ -56,7 +61,9 @@ def table() -> str:
     for path, manifest in manifests():
         for device in manifest["device"]:
             page = path.with_name("README.md")
-            drivers = _linked(device["drivers"], page if page.is_file() else path)
+            drivers = (
+                _linked(device["drivers"], page if page.is_file() else path) if "drivers" in device else ""
+            )
             protocols = ", ".join(
                 _linked([name], ROOT / "protocols" / "aces_protocols" / name / "README.md")
                 for name in device["protocols"]

@@ -25,7 +25,7 @@ from ..protocol.declare.delimited import (
     AsciiNumber,
     Delimited,
 )
-from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude
+from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude, Text
 from ..protocol.declare.items import Items
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
@@ -290,7 +290,12 @@ class _Walk:
                 mark[:1], b""
             )
 
-        return draw if isinstance(con.subcon, type(c.GreedyBytes)) else self._parsed(con)
+        inner = con.subcon
+        while isinstance(inner, c.Subconstruct) and (
+            isinstance(inner, Text) or not isinstance(inner, c.Adapter)
+        ):
+            inner = inner.subcon
+        return draw if inner is c.GreedyBytes else self._parsed(con)
 
     def _sequence(self, con: Any) -> Draw:
         """Draw a `PrefixedArray`: a count that is rebuilt, and an array of that size."""

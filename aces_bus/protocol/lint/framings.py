@@ -232,11 +232,14 @@ def _message_check(message: Message, check: Check) -> Iterator[Finding]:
             f"its check covers its own bytes ({_listed(own & set(covered), longest)}): no frame can hold it",
         )
     else:
-        left = set(range(longest)) - own - set(covered)
+        left = set(range(longest - message.behind)) - own - set(covered)
+        framing = message.framing
+        if framing is not None and framing.check is not None:  # it sees faults, too
+            left -= set(_covered(framing.check_over, longest))
         if left:
             yield _on(
                 message,
-                "warning",
+                "note" if framing is not None and left == set(range(max(left) + 1)) else "warning",
                 "check-range",
                 f"its check leaves out {_listed(left, longest)}: a fault there goes unseen",
             )

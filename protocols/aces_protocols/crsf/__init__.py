@@ -1,0 +1,1 @@
+"""CRSF (Crossfire), the serial protocol of radio-control links: TBS Crossfire and Tracer, ExpressLRS, Betaflight, EdgeTX."""
