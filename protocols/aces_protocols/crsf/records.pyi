@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from aces_bus.protocol import Protocol, Record
 
 crsf: Protocol
 
-class Channels(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class Channels(_Typed, frozen=True):
     """Positions of 16 sticks and switches: pulses of 880…2159 µs, 1500 µs in the middle.
 
     source: TBS, 0x16
@@ -19,7 +22,7 @@ class Channels(Record, frozen=True):
     more: bytes
     """bytes behind the declared ones"""
 
-class LinkStatistics(Record, frozen=True):
+class LinkStatistics(_Typed, frozen=True):
     """The radio link: up to the craft, down to the ground.
 
     source: TBS, 0x14
@@ -44,7 +47,7 @@ class LinkStatistics(Record, frozen=True):
     """-128…127 dB"""
     more: bytes
 
-class ReceiverLink(Record, frozen=True):
+class ReceiverLink(_Typed, frozen=True):
     """The link as the receiver has it.
 
     source: TBS, 0x1c
@@ -62,7 +65,7 @@ class ReceiverLink(Record, frozen=True):
     """0…255 dBm"""
     more: bytes
 
-class TransmitterLink(Record, frozen=True):
+class TransmitterLink(_Typed, frozen=True):
     """The link as the transmitter module has it; `rate` in frames a second.
 
     source: TBS, 0x1d
@@ -82,7 +85,7 @@ class TransmitterLink(Record, frozen=True):
     """0…2550 Hz"""
     more: bytes
 
-class Gps(Record, frozen=True):
+class Gps(_Typed, frozen=True):
     """Place, speed over ground, course, height above the sea, satellites in use.
 
     source: TBS, 0x02
@@ -101,7 +104,7 @@ class Gps(Record, frozen=True):
     satellites: int
     more: bytes
 
-class GpsTime(Record, frozen=True):
+class GpsTime(_Typed, frozen=True):
     """The time of the satellites.
 
     source: TBS, 0x03
@@ -117,7 +120,7 @@ class GpsTime(Record, frozen=True):
     """0…65535 ms"""
     more: bytes
 
-class GpsExtended(Record, frozen=True):
+class GpsExtended(_Typed, frozen=True):
     """Velocity and accuracy of the satellites' fix.
 
     source: TBS, 0x06
@@ -145,7 +148,7 @@ class GpsExtended(Record, frozen=True):
     vdop: float
     more: bytes
 
-class Vario(Record, frozen=True):
+class Vario(_Typed, frozen=True):
     """Vertical speed, up is positive.
 
     source: TBS, 0x07
@@ -155,7 +158,7 @@ class Vario(Record, frozen=True):
     """-327.68…327.67 m/s"""
     more: bytes
 
-class Battery(Record, frozen=True):
+class Battery(_Typed, frozen=True):
     """Battery: voltage, current, charge that was used, estimated rest.
 
     source: TBS, 0x08
@@ -171,7 +174,7 @@ class Battery(Record, frozen=True):
     """0…255 %"""
     more: bytes
 
-class BaroAltitude(Record, frozen=True):
+class BaroAltitude(_Typed, frozen=True):
     """Barometric height above the start: decimetres up to 2276.7 m, metres above.
 
     source: TBS, 0x09; crsf-wg
@@ -180,7 +183,7 @@ class BaroAltitude(Record, frozen=True):
     altitude: float
     """above the start; 0xFFFF is not sent, as OpenTX takes it for none (-1000…2276.7 or 0…32767 m)"""
 
-class BaroVario(Record, frozen=True):
+class BaroVario(_Typed, frozen=True):
     """Barometric height above the start with vertical speed.
 
     source: TBS, 0x09
@@ -192,7 +195,7 @@ class BaroVario(Record, frozen=True):
     """vertical speed n: (exp(0.026 × |n|) − 1) m/s, with the sign of n, up is positive"""
     more: bytes
 
-class Airspeed(Record, frozen=True):
+class Airspeed(_Typed, frozen=True):
     """Speed through the air.
 
     source: TBS, 0x0a
@@ -202,7 +205,7 @@ class Airspeed(Record, frozen=True):
     """0…6553.5 km/h"""
     more: bytes
 
-class Heartbeat(Record, frozen=True):
+class Heartbeat(_Typed, frozen=True):
     """A device is there.
 
     source: TBS, 0x0b
@@ -211,7 +214,7 @@ class Heartbeat(Record, frozen=True):
     origin: int
     more: bytes
 
-class Rpm(Record, frozen=True):
+class Rpm(_Typed, frozen=True):
     """Speeds of motors, up to 19; negative ones turn backward.
 
     source: TBS, 0x0c
@@ -221,7 +224,7 @@ class Rpm(Record, frozen=True):
     speeds: tuple[int, ...]
     """-8388608…8388607 rpm"""
 
-class Temperatures(Record, frozen=True):
+class Temperatures(_Typed, frozen=True):
     """Temperatures, up to 20.
 
     source: TBS, 0x0d
@@ -231,7 +234,7 @@ class Temperatures(Record, frozen=True):
     temperatures: tuple[float, ...]
     """-3276.8…3276.7 °C"""
 
-class Voltages(Record, frozen=True):
+class Voltages(_Typed, frozen=True):
     """Voltages, up to 29: of a battery's cells (source 0…127), or of one device.
 
     source: TBS, 0x0e
@@ -241,7 +244,7 @@ class Voltages(Record, frozen=True):
     voltages: tuple[float, ...]
     """0…65.535 V"""
 
-class VideoTransmitter(Record, frozen=True):
+class VideoTransmitter(_Typed, frozen=True):
     """State of a video transmitter.
 
     source: TBS, 0x10
@@ -260,7 +263,7 @@ class VideoTransmitter(Record, frozen=True):
     more: bytes
     """bytes behind the declared ones"""
 
-class Attitude(Record, frozen=True):
+class Attitude(_Typed, frozen=True):
     """Angles of the craft, within ±π.
 
     source: TBS, 0x1e
@@ -274,7 +277,7 @@ class Attitude(Record, frozen=True):
     """-3.2768…3.2767 rad"""
     more: bytes
 
-class FlightMode(Record, frozen=True):
+class FlightMode(_Typed, frozen=True):
     """Name of the flight mode; `*` at its end: disarmed (Betaflight).
 
     source: TBS, 0x21
@@ -282,7 +285,7 @@ class FlightMode(Record, frozen=True):
     address: Literal["broadcast", "cloud", "usb", "bluetooth", "wifi", "video_receiver", "osd", "esc_1", "esc_2", "esc_3", "esc_4", "esc_5", "esc_6", "esc_7", "esc_8", "current_sensor", "gps", "blackbox", "flight_controller", "race_tag", "vtx", "handset", "receiver", "transmitter"] | int
     mode: Any
 
-class PingDevices(Record, frozen=True):
+class PingDevices(_Typed, frozen=True):
     """Ask a device, or all (destination broadcast), who it is.
 
     source: TBS, 0x28
@@ -291,7 +294,7 @@ class PingDevices(Record, frozen=True):
     destination: Literal["broadcast", "cloud", "usb", "bluetooth", "wifi", "video_receiver", "osd", "esc_1", "esc_2", "esc_3", "esc_4", "esc_5", "esc_6", "esc_7", "esc_8", "current_sensor", "gps", "blackbox", "flight_controller", "race_tag", "vtx", "handset", "receiver", "transmitter"] | int
     origin: Literal["broadcast", "cloud", "usb", "bluetooth", "wifi", "video_receiver", "osd", "esc_1", "esc_2", "esc_3", "esc_4", "esc_5", "esc_6", "esc_7", "esc_8", "current_sensor", "gps", "blackbox", "flight_controller", "race_tag", "vtx", "handset", "receiver", "transmitter"] | int
 
-class DeviceInfo(Record, frozen=True):
+class DeviceInfo(_Typed, frozen=True):
     """A device's answer to PingDevices.
 
     source: TBS, 0x29
@@ -306,7 +309,7 @@ class DeviceInfo(Record, frozen=True):
     parameters: int
     parameter_version: int
 
-class ParameterEntry(Record, frozen=True):
+class ParameterEntry(_Typed, frozen=True):
     """Part of a parameter: value, limits, texts.
 
     source: TBS, 0x2B
@@ -318,7 +321,7 @@ class ParameterEntry(Record, frozen=True):
     chunks_left: int
     data: bytes
 
-class ParameterRead(Record, frozen=True):
+class ParameterRead(_Typed, frozen=True):
     """Ask for a part of a parameter.
 
     source: TBS, 0x2C
@@ -330,7 +333,7 @@ class ParameterRead(Record, frozen=True):
     chunk: int
     more: bytes
 
-class ParameterWrite(Record, frozen=True):
+class ParameterWrite(_Typed, frozen=True):
     """Set a parameter; the answer repeats it.
 
     source: TBS, 0x2D
@@ -341,7 +344,7 @@ class ParameterWrite(Record, frozen=True):
     parameter: int
     data: bytes
 
-class Timing(Record, frozen=True):
+class Timing(_Typed, frozen=True):
     """When the module wants channels: their interval, and how much too early (positive) the last ones came.
 
     source: TBS, 0x3A.0x10
@@ -355,7 +358,7 @@ class Timing(Record, frozen=True):
     """-2.14748e+08…2.14748e+08 µs"""
     more: bytes
 
-class SpeedProposal(Record, frozen=True):
+class SpeedProposal(_Typed, frozen=True):
     """Propose another speed of the line.
 
     source: TBS, 0x32.0x0A
@@ -367,7 +370,7 @@ class SpeedProposal(Record, frozen=True):
     baud: int
     """0…4294967295 Bd"""
 
-class SpeedAnswer(Record, frozen=True):
+class SpeedAnswer(_Typed, frozen=True):
     """Accept (1) or reject (0) a speed.
 
     source: TBS, 0x32.0x0A
