@@ -188,8 +188,9 @@ _UNFIT = re.compile(r"(.*?):? struct '[<>=]?([bBhHiIlLqQefd])' error during buil
 
 
 def _short(text: str) -> str:
-    """Shorten `(building) -> speed: …` to `speed: …`."""
-    return text.replace("(building) -> ", "").replace("(building): ", "")
+    """Shorten `(building) -> speed: …` to `speed: …`, and a name that its own field repeats."""
+    text = text.replace("(building) -> ", "").replace("(building): ", "")
+    return re.sub(r"\b(\w+) -> (?=\1\b)", "", text)
 
 
 def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
@@ -197,7 +198,8 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
     missing = [name for name in message.fields if name not in given]
     if isinstance(error, KeyError) and missing:
         return f"no value given for {', '.join(missing)}"
-    text = " ".join(_short(str(error)).replace("Error in path ", "").split())
+    text = re.sub(r"^Error in path (.*)\n", r"\1: ", _short(str(error)))
+    text = " ".join(text.replace("Error in path ", "").split())
     unfit = _UNFIT.match(text)
     if unfit is None:
         return text or type(error).__name__

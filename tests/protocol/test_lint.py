@@ -66,9 +66,7 @@ def test_sound_specs_have_notes_at_most(name: str) -> None:
 
 def test_units_are_units() -> None:
     """SI with prefixes and exponents, and what sheets write; everything else is a slip of the pen."""
-    good = (
-        "N·m, 0.1 mA, rad/s², m/s^2, count, turn/s, °C, %, kg·m2, rad s-1, 1/min, µs, Nm, km/h, mgauss, 2 µs"
-    )
+    good = "N·m, 0.1 mA, dBHz, dBW, rad/s², m/s^2, count, turn/s, °C, %, kg·m2, rad s-1, 1/min, µs, Nm, km/h, mgauss, 2 µs"
     bad = "bogus, mm/, kcount, meterz/s, N··, raad, °X, (m/s"
     assert [text for text in good.split(", ") if not is_unit(text)] == []
     assert [text for text in bad.split(", ") if is_unit(text)] == []

@@ -19,6 +19,7 @@ from construct import (
     GreedyBytes,
     GreedyRange,
     IfThenElse,
+    Int16sl,
     Int16ul,
     Int32ul,
     Int64ub,
@@ -675,6 +676,42 @@ def test_what_has_no_bytes_is_decoded_and_built() -> None:
     assert bytes(_one(Struct("e" / Array(0, Byte), "x" / Byte)).encode("M", e=(), x=5).data) == b"\x05"
 
 
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"current": 400}, "Set: current: 400 A is outside -327.68…327.67 A"),
+        ({"limit": -2}, "Set: limit: -2 V is outside 0…4294967295 V"),
+        ({"share": 3}, "Set: share: 3 is outside -1…1"),
+        ({"inner": {"speed": 5000}}, "Set: inner -> speed: 5000 m/s is outside -3276.8…3276.7 m/s"),
+        ({"step": 16}, "Set: step: 16 is outside 0…15"),
+    ],
+)
+def test_what_is_out_of_range_is_named_in_its_unit(fields: dict[str, Any], said: str) -> None:
+    """Field, value, unit and range as the spec's reader knows them, not the raw number."""
+    made = Protocol("ranges", link="serial")
+    framing = made.framing(sync=b"\xaa", end=b"\x55", max_size=64)
+    layout = BitLayout(2, "current" / Quantity(bits(16, signed=True), unit="A", scale=0.01))
+    payload = Struct(
+        "limit" / Quantity(Int32ul, unit="V"),
+        "share" / Quantity(Int16sl, scale=1e-3, range=(-1, 1)),
+        "inner" / Struct("speed" / Quantity(Int16sl, unit="m/s", scale=0.1)),
+        "more" / layout,
+        "bits" / BitLayout(1, "step" / bits(4)),
+    )
+    made.message("Set", framing=framing, payload=payload)
+    good: dict[str, Any] = {
+        "limit": 1,
+        "share": 0,
+        "inner": {"speed": 1},
+        "more": {"current": 1},
+        "bits": {"step": 1},
+    }
+    given = {"more": fields} if "current" in fields else {"bits": fields} if "step" in fields else fields
+    said = said.replace("current:", "more -> current:").replace("step:", "bits -> step:")
+    with pytest.raises(FieldError, match=re.escape(said)):
+        made.encode("Set", **{**good, **given})
+
+
 def test_stubs_keep_nested_records_apart() -> None:
     """Classes of a stub were named by a path that two nested records may share."""
     made = Protocol("nested", link="can")
@@ -686,7 +723,7 @@ def test_stubs_keep_nested_records_apart() -> None:
     text = print_stub(made, "nested")
     compile(text, "stub", "exec")
     classes = re.findall(r"^class (\w+)", text, re.MULTILINE)
-    assert len(classes) == len(set(classes)) == 7
+    assert len(classes) == len(set(classes)) == 8
     made.message("Record", id=3)
     with pytest.raises(SpecError, match="cannot name a message so"):
         print_stub(made, "nested")

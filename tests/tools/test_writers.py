@@ -233,6 +233,27 @@ def test_a_line() -> None:
     ]
 
 
+def test_values_inside_what_construct_decodes_have_their_units() -> None:
+    """In records, in lists of records and layouts, at any depth: as those of flat messages."""
+    from construct import Byte, GreedyRange, Int8sl, Struct, VarInt
+
+    from aces_bus.protocol import BitLayout, Quantity, bits
+
+    deep = Protocol("deep", link="can")
+    payload = Struct(
+        "n" / VarInt,
+        "s" / Struct("a" / Quantity(Int8sl, unit="m"), "b" / BitLayout(1, "t" / Quantity(bits(4), unit="s"))),
+        "l" / GreedyRange(Struct("i" / Quantity(Byte, unit="A"), "k" / Byte)),
+    )
+    deep.message("M", id=1, payload=payload)
+    assert not deep["M"].plan.is_flat
+    record = deep.scanner().feed([Frame(1, bytes([1, 5, 2, 7, 8, 9, 10]))])
+    writer = TextOutput(plans_of([deep.variant()]), None)
+    writer.begin("x.log", "can", None)
+    said = "s={a=5 m, b={t=2 s, reserved=0}}  l=[{i=7 A, k=8}, {i=9 A, k=10}]"
+    assert said in writer.items(record).decode()
+
+
 def test_columns_settle() -> None:
     """Fields of a message stand below each other once the widest has been seen."""
     lines = shown(*(Frame(0x10, bytes([0, n, 0, n]), 0.0, "can0") for n in (250, 1, 20)))

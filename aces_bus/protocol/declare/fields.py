@@ -416,7 +416,9 @@ class Quantity(Field):
             low, high = self.range
             if not low - self._slack <= value <= high + self._slack:
                 raise FieldError(
-                    f"{path}: {value!r} {self.unit} is outside {low}…{high} {self.unit}".replace("  ", " ")
+                    f"{path}: {value!r} {self.unit} is outside {low}…{high} {self.unit}".replace(
+                        "  ", " "
+                    ).rstrip()
                 )
         number: Any = value
         try:
@@ -431,10 +433,13 @@ class Quantity(Field):
         except (OverflowError, ValueError):  # infinite, NaN, or an integer that no float holds
             raise FieldError(f"{path}: {value!r} cannot be sent with a scale of {self.scale}") from None
         self._refuse_sentinel(number, value, path)
-        if self.raw_range is not None and not self.raw_range[0] <= number <= self.raw_range[1]:
-            low, high = (self.to_physical(edge) for edge in self.raw_range)
+        limits = self.raw_range or raw_limits(self.subcon)
+        if limits is not None and not limits[0] <= number <= limits[1]:
+            low, high = (edge * self.scale + self.offset for edge in limits)
             raise FieldError(
-                f"{path}: {value!r} {self.unit} is outside {low:g}…{high:g} {self.unit}".replace("  ", " ")
+                f"{path}: {value!r} {self.unit} is outside {low:.10g}…{high:.10g} {self.unit}".replace(
+                    "  ", " "
+                ).rstrip()
             )
         return number
 

@@ -273,6 +273,7 @@ PREFIXES = _words("Y Z E P T G M k h da d c m µ μ u n p f a z y Ki Mi Gi")
 PLAIN = _words(
     "% ‰ ppm ppb ° deg ° ' ″ ′ °C °F degC degF Celsius °/s deg/s min h d yr rpm RPM rev turn turns r count counts "
     "cnt ct LSB lsb digit digits tick ticks step steps pulse pulses px pixel pixels sample samples ratio pu "
+    "dBHz dB-Hz dBW dBmV dBµV dBμV dBuV dBd dBc dBA dBFS dBsm "
     "in ft yd mi mph kph knot knots kn kt kts psi lb lbf lbs oz ozf ft·lb gf kgf rps cps fps dBm dBi dBV pH RH %RH "
     "Nm mNm kNm Ncm atm mmHg inHg Torr torr mgauss ha byte bytes bits word words bool flag "
     "degree degrees radian radians meter metre meters metres second seconds ampere volt watt newton kelvin hertz"

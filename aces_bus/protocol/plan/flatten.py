@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache, reduce
 from typing import Any, Literal
 
@@ -208,8 +208,8 @@ def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
     if isinstance(items, Items):
         return _Builder(message, 0).described(items, f"{message.name}_{name}", reason)
     if not isinstance(items, ItemList):
-        unit = _unit_of(items)
-        return p.OpaqueQuantity(reason, unit) if unit else p.Opaque(reason)
+        unit, units = _unit_of(items), dict(_units_inside(items))
+        return p.OpaqueQuantity(reason, unit, tuple(units.items())) if unit or units else p.Opaque(reason)
     values: list[tuple[str, int, p.NamedValue]] = []
     for value, (number, unit, names) in items.values.items():
         steps = (p.ValueNames(tuple(names.items())),) if names else ()
@@ -245,6 +245,22 @@ def _unit_of(con: c.Construct | None) -> str:
             return units.pop() if len(units) == 1 else ""
         con = inner[0] if inner else None
     return ""
+
+
+def _units_inside(con: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield path and unit of the numbers inside a value that construct decodes; those of a list have the list's path."""
+    inside = (
+        [c.Renamed(slot.field, newname=slot.name) for slot in con.slots]
+        if isinstance(con, BitLayout)
+        else inner_constructs(con)
+    )
+    for inner in inside:
+        name = f"{path}.{inner.name}".removeprefix(".") if isinstance(inner, c.Renamed) else path
+        unit = peeled(inner)[2]
+        if unit and name != path:
+            yield name, unit
+        elif not unit:
+            yield from _units_inside(inner.subcon if isinstance(inner, c.Renamed) else inner, name)
 
 
 def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When | None) -> tuple[Any, ...]:

@@ -197,8 +197,9 @@ class Node:
     is_plain: bool = False
     #: Whether sending rounds a number that was read.
     is_rounded: bool = False
-    #: Units of values inside items that construct decodes, by name.
+    #: Units of values inside what construct decodes: of items by name, of others by path.
     inner_units: Mapping[str, str] = {}
+    part_units: Mapping[str, str] = {}
 
     def shaped(self, reader: ShapeReader[T]) -> T:
         """Return what a reader makes of the values, by their shape."""
@@ -831,9 +832,14 @@ class Opaque(Node, msgspec.Struct, frozen=True):
 
 
 class OpaqueQuantity(Opaque, frozen=True):
-    """A number, or numbers, that construct decodes, of a known unit."""
+    """A number, or numbers, that construct decodes, of a known unit; or values by name: `units` are theirs, by path."""
 
     unit: str
+    units: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def part_units(self) -> Mapping[str, str]:  # type: ignore[override]
+        return dict(self.units)
 
 
 class ByBits(Opaque, frozen=True):

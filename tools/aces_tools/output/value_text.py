@@ -36,7 +36,9 @@ class _Texts:
         if node.is_unclaimed:
             return hex
         if units := node.inner_units:
-            return _show_items({}, lambda data: _named_values(data, units))
+            return _show_items({}, lambda data: _with_units(data, units))
+        if node.part_units:
+            return lambda value: _with_units(value, node.part_units)
         return _show_number(node) if node.is_number else anything
 
     def several(self, node: p.Node, items: Sequence[p.Node]) -> Show:
@@ -83,18 +85,20 @@ def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = 
     return lambda items: f"[{', '.join(map(one, items))}]"
 
 
-def _named_values(data: Any, units: Mapping[str, str]) -> str:
-    """Return values by name, with their units where they are numbers."""
-    names = getattr(data, "__struct_fields__", None)
-    if names is None:
-        return anything(data)
-    values = ((name, getattr(data, name)) for name in names if name[0] != "_")
-    number = (int, float)
-    shown = (
-        f"{name}={anything(value)}{units.get(name, '') if isinstance(value, number) else ''}"
-        for name, value in values
-    )
-    return f"{{{', '.join(shown)}}}"
+def _with_units(value: Any, units: Mapping[str, str], path: str = "") -> str:
+    """Return values of no fixed shape, numbers with their units: by the path of names."""
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(_with_units(item, units, path) for item in value)}]"
+    names = getattr(value, "__struct_fields__", None)
+    if names is not None and not isinstance(value, FlagSet):
+        shown = (
+            f"{name}={_with_units(getattr(value, name), units, f'{path}.{name}' if path else name)}"
+            for name in names
+            if name[0] != "_"
+        )
+        return f"{{{', '.join(shown)}}}"
+    unit = units.get(path, "") if isinstance(value, (int, float)) and not isinstance(value, bool) else ""
+    return f"{anything(value)} {unit}".rstrip()
 
 
 def _show_number(node: p.Node) -> Show:
