@@ -253,7 +253,7 @@ class _StandIn:
         self.message, self.reference = message, reference
         self.struct = self
         self.name, self.framing, self.protocol = message.name, message.framing, message.protocol
-        self.transport = message.transport
+        self.transport, self.ways = message.transport, message.ways
         self.within, self.request_fields, self.outer = message.within, message.request_fields, message.outer
 
     @property
