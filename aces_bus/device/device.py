@@ -64,9 +64,10 @@ class Device(EndpointMember):
 
     `actions` names the methods that programs and the command line may call: name → what it does; those in `asking` only
     ask, and change nothing, so that the command line does not want `--tx` for them. `streams` are messages
-    of set-points that are repeated in each tick, once given; others are sent when set. `silent_after` is how many polls
-    in a row may miss before the device counts as silent. `one_at_a_time`: it takes one request at a time, so that on its bus
-    nothing is asked while an answer is due, but for stops.
+    of set-points that are repeated in each tick, once given; others are sent when set. `stream_replies`: set-points that are
+    answered, with their answer and how long it may take (s): on a line where one speaks at a time nothing is sent before it.
+    `silent_after` is how many polls in a row may miss before the device counts as silent. `one_at_a_time`: it takes
+    one request at a time, so that on its bus nothing is asked while an answer is due, but for stops.
     """
 
     #: What it speaks: the name of an installed protocol, or a protocol itself.
@@ -75,6 +76,7 @@ class Device(EndpointMember):
     polls: Sequence[Poll] = ()
     rules: ClassVar[Mapping[str, CoalescingRule]] = {}
     streams: ClassVar[Collection[str]] = ()
+    stream_replies: ClassVar[Mapping[str, tuple[str, float]]] = {}
     actions: ClassVar[Mapping[str, str]] = {}
     asking: ClassVar[Collection[str]] = ()
     silent_after: ClassVar[int] = 3

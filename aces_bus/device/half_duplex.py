@@ -143,7 +143,17 @@ class HalfDuplexLine:
                     out
                 )  # what does not fit is reported, and who hears of it may stop devices
                 if packet is not None:
-                    self._speak(Ticket(host.clock, out.device, out.message, packet, frozenset(), 0))
+                    reply, within_s = out.device.stream_replies.get(out.message, ("", 0.0))
+                    self._speak(
+                        Ticket(
+                            host.clock,
+                            out.device,
+                            out.message,
+                            packet,
+                            frozenset((reply,) if reply else ()),
+                            round(within_s * 1e9),
+                        )
+                    )
             elif self._waiting:
                 ticket = self._waiting.popleft()
                 if ticket is not None:

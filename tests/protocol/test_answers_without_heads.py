@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import pytest
 from construct import Byte, Const, Int16ub, Int32ub, Struct
@@ -79,11 +80,12 @@ def test_an_awaited_answer_is_there_with_its_last_byte() -> None:
     made = claw()
     scanner = made.scanner(direction="from device")
     for address in ADDRESSES:
-        for ask, answer, fields in (
+        answers: tuple[tuple[str, str, dict[str, Any]], ...] = (
             ("GetCount", "Count", {"count": 7 * address, "status": 1}),
             ("GetVersion", "Version", {"text": f"unit {address:X}"}),
             ("GetVolts", "Volts", {"volts": 12.5}),
-        ):
+        )
+        for ask, answer, fields in answers:
             packet = made.encode(answer, address=address, **fields)
             scanner.sent(made.encode(ask, address=address))
             for byte in packet[:-1]:

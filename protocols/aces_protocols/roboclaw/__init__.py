@@ -1,0 +1,1 @@
+"""Basicmicro RoboClaw motor controllers."""
