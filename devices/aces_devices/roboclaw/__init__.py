@@ -69,16 +69,10 @@ class RoboclawAxis:
     """One motor: its joint, and how its counts are the joint's angle."""
 
     motor: int
-    joint: Joint | None
+    joint: Joint
     scale: JointScale
     has_encoder: bool
     command: str
-
-    @property
-    def owner(self) -> str:
-        """What its signals are named after."""
-        assert self.joint is not None
-        return self.joint.name
 
 
 class Roboclaw(Device):
@@ -153,7 +147,6 @@ class Roboclaw(Device):
 
     def _add_joint(self, axis: RoboclawAxis) -> None:
         joint, scale, motor = axis.joint, axis.scale, axis.motor
-        assert joint is not None
         speed, most = joint.max_speed, min(1.0, joint.max_duty or 1.0)
 
         def signed(value: Any) -> float:
@@ -214,7 +207,6 @@ class Roboclaw(Device):
             return fields
         axis = next(axis for axis in self.axes if message == f"RampToM{axis.motor}")
         joint = axis.joint
-        assert joint is not None
         speed = abs(axis.scale.raw_speed(joint.max_speed or USUAL_SPEED))
         ramp = STEEPER * abs(axis.scale.raw_speed(joint.max_acceleration or USUAL_ACCELERATION))
         rate = max(1, round(ramp))
