@@ -8,24 +8,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
 from .._lazy import np
 from ..errors import AcesError
-from ..frame_table import FrameTable
+from ..frame_table import EXTENDED, FrameTable
 from . import Variant
 from .columns.decode import feed
 from .columns.scanner import make_column_scanner
 from .columns.table import Array, MessageTable
 from .files import list_protocols, load_protocol
-from .plausible import is_opaque, plausible
+from .plausible import is_opaque, is_tested, plausible
 
 #: Frames and bytes among which protocols are tried, where a recording is not kept; the share from which on one fits.
 TRIED_FRAMES, TRIED_BYTES, FITS = 20_000, 1 << 18, 0.8
 #: Frames that are tried of them, first and then, and the share of the first ones below which there is no then.
 FIRST, THEN, HOPELESS = 256, 4096, 0.3
+#: The share of decoded frames whose contents could have spoken against a protocol; where they are fewer, at most so many
+#: frames may decode under any identifiers: otherwise the identifiers say nothing either.
+TESTED, ANYWHERE = 0.2, 0.25
 #: The runs of neighbours that they are taken in, evenly over all.
 RUNS = 4
 #: Frames that are decoded at once: tables of values are larger than frames.
@@ -82,7 +85,7 @@ def _fitting(piece: FrameTable | bytes) -> Iterator[FittingProtocol]:
                 FittingProtocol(_share(variant, piece, way), text, variant, way) for way in _ways(variant)
             ]
         best = max(found, key=lambda fit: (fit.share, fit.name, fit.direction == "both"))
-        if best.share >= FITS:
+        if best.share >= FITS and (not isinstance(piece, FrameTable) or _is_told(best.variant, piece)):
             yield best
 
 
@@ -111,6 +114,27 @@ def _share(variant: Variant, piece: FrameTable | bytes, way: _Way) -> float:
 def _decoded(variant: Variant, frames: FrameTable) -> float:
     scanner = _scanner(variant)
     return _closed(scanner, variant, scanner.feed(frames))
+
+
+def _is_told(variant: Variant, piece: FrameTable) -> bool:
+    """Return whether contents of CAN frames speak for a protocol, or else their identifiers: ODrive's are three quarters of
+    all there are, and any eight bytes are its `Version`.
+    """
+    frames = _runs(piece, THEN)
+    scanner = _scanner(variant)
+    tested = sum(
+        int(plausible(table, variant).sum())
+        for table in (*scanner.feed(frames), *scanner.close())
+        if table.message and is_tested(variant.messages[table.message])
+    )
+    if tested >= TESTED * scanner.counts.decoded:
+        return True
+    is_extended = frames.flags & EXTENDED != 0
+    anywhere = np.random.default_rng(0).integers(0, np.where(is_extended, 1 << 29, 1 << 11))
+    scanner = _scanner(variant)
+    scanner.feed(replace(frames, id=anywhere.astype(frames.id.dtype)))
+    scanner.close()
+    return bool(scanner.counts.decoded < ANYWHERE * scanner.counts.total)
 
 
 def _closed(scanner: Any, variant: Variant, tables: Iterable[MessageTable]) -> float:

@@ -46,6 +46,20 @@ def is_opaque(message: Message) -> bool:
     return bool(content) and all(node.holds == "bytes" for node in content)
 
 
+def is_tested(message: Message) -> bool:
+    """Return whether not all bytes are such a message: it has constants, a check, a transport, floats, ranges or codes."""
+    plan = message.plan
+    if message.transport is not None or plan.constants or plan.one_of or plan.is_checked:
+        return True
+    nodes = [leaf.node for leaf in plan.columns if not leaf.node.is_captured]
+    return any(
+        (node.is_float and node.is_number)
+        or (node.scale is not None and node.scale.limits is not None)
+        or (node.raw_range is not None and node.raw_range[1] <= MOST_NAMED and node.enumerated)
+        for node in nodes
+    )
+
+
 def _can_be(leaf: NodePath, column: Column) -> Array:
     """Return which values of a field can be; those that are absent can."""
     node, values = leaf.node, column.values

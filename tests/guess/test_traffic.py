@@ -317,6 +317,15 @@ def test_identifiers_alone_are_no_protocol(monkeypatch: pytest.MonkeyPatch) -> N
     assert known.name.startswith("odrive")
 
 
+def test_a_car_is_no_odrive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two identifiers whose contents any bytes can be say nothing for a protocol that takes most identifiers."""
+    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["odrive"])
+    frames = [*periodic(0x220, 300, 1), *periodic(0x386, 300, 2)]
+    frames = [Frame(frame.arbitration_id, bytes(frame.data) + b"\0", frame.timestamp) for frame in frames]
+    guess = guessed(frames, known=True)
+    assert (guess.known, [message.shown for message in guess.messages]) == ((), ["220", "386"])
+
+
 def test_what_is_bytes_alone_is_guessed_beside_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     """CANopen does not know what a PDO carries: it is left to be guessed, and says nothing for CANopen."""
     monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["canopen"])

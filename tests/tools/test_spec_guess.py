@@ -112,3 +112,38 @@ def test_what_a_damaged_recording_holds_is_guessed_nevertheless(aces: Aces, tmp_
     result = aces("spec", "guess", tmp_path / "empty.log")
     assert (result.status, result.out) == (2, "")
     assert "nothing to guess" in result.err
+
+
+def test_a_reference_names_its_field_in_the_draft(aces: Aces, drive: Path, tmp_path: Path) -> None:
+    """With scale, offset and unit: the draft decodes what was measured."""
+    measured, draft = tmp_path / "gps.csv", tmp_path / "draft.py"
+    rows = [(100.12 + n / 100, int(20000 + 9000 * sin(n / 30)) * 0.01 - 200) for n in range(300)]
+    measured.write_text("time,speed [m/s]\n" + "".join(f"{time:.3f},{value:.4f}\n" for time, value in rows))
+    result = aces("spec", "guess", drive, "--reference", f"{measured}:speed", "-o", draft)
+    assert result.status == 0
+    assert "speed, 300 instants on the recording's clock, is the first of these." in result.out
+    first = result.out.split("leaves\n")[1].splitlines()[0].split()
+    assert first[:8] == ["123", "2.0…1.7", "u16", "big", "0.01", "-200", "m/s", "-120"]
+    assert "speed" in result.out.split("every 10 ms")[1]
+    decoded = aces("decode", drive, "-p", draft, "--format", "jsonl")
+    assert decoded.objects[30]["fields"]["speed"] == pytest.approx(rows[30][1])
+    assert decoded.summary["decoded"] == 340
+    assert aces("spec", "check", draft, "--for", "0", "--against", drive).status == 0
+    found = json.loads(aces("spec", "guess", drive, "--reference", f"{measured}:speed", "--json").out)
+    assert found["reference"]["guesses"][0]["identifier"] == 0x123
+
+
+def test_a_reference_that_nothing_follows_is_said(aces: Aces, drive: Path, tmp_path: Path) -> None:
+    """With exit 1: a program must not take a guess for it."""
+    measured = tmp_path / "gps.csv"
+    measured.write_text("time,v\n" + "".join(f"{100 + n / 10},{n * 7919 % 101}\n" for n in range(40)))
+    result = aces("spec", "guess", drive, "--reference", f"{measured}:v")
+    assert result.status == 1
+    assert "v, 40 instants on the recording's clock, is in no field." in result.out
+
+
+@pytest.mark.parametrize("more", [["--time", "t"], ["--unit", "m"], ["--delay", "1s"]])
+def test_words_of_a_reference_need_one(aces: Aces, drive: Path, more: list[str]) -> None:
+    """Else they would be ignored."""
+    result = aces("spec", "guess", drive, *more)
+    assert (result.status, "--reference" in result.err) == (2, True)

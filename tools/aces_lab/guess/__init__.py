@@ -16,8 +16,10 @@ from .framings import FramingGuess, LengthRule
 from .nodes import NodeGuess
 from .pairs import PairGuess
 from .protocols import ProtocolGuess
+from .reference import Quantity, ReferenceGuess
+from .reference_file import read_quantity
 from .streams import PacketGuess, StreamGuess, StreamTraffic
-from .traffic import MessageGuess, TimingGuess, Traffic, TrafficGuess
+from .traffic import MessageGuess, ReferenceGuesses, TimingGuess, Traffic, TrafficGuess
 
 __all__ = [
     "CarriedGuess",
@@ -31,6 +33,9 @@ __all__ = [
     "PacketGuess",
     "PairGuess",
     "ProtocolGuess",
+    "Quantity",
+    "ReferenceGuess",
+    "ReferenceGuesses",
     "StreamGuess",
     "StreamTraffic",
     "TimingGuess",
@@ -40,5 +45,6 @@ __all__ = [
     "checks_of_packets",
     "draft_source",
     "fields_of",
+    "read_quantity",
     "stream_source",
 ]

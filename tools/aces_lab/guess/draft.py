@@ -14,10 +14,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from aces_bus.frames import EXTENDED, FD, REMOTE
-from aces_bus.protocol.exchange.names import python_name
+from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 
 from .fields import FieldGuess
-from .traffic import MessageGuess, TrafficGuess
+from .traffic import MessageGuess, ReferenceGuesses, TrafficGuess
 
 TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here on."""'
 #: Columns of a comment, and of a field.
@@ -36,12 +36,17 @@ _OURS = frozenset(
             "J1939Transport",
             "Multiplexed",
             "Protocol",
+            "Quantity",
         ),
         *("Slip", "Sum", "TailByte", "Text", "Xor", "bits", "float_bits"),
     )
 )
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
 _WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
+#: Names that `field_name` makes of kinds and places.
+_PLACE = re.compile(r"[a-z]+(_\d+){1,3}(_at_\d+)?|rest")
+#: Signs of evidence, in ASCII.
+_ASCII = str.maketrans({"…": "..", "±": "+-", "−": "-"})
 #: What is not a code: comments and texts.
 _NO_CODE = re.compile(r"""#.*|b?'(?:[^'\\\n]|\\.)*'|b?"(?:[^"\\\n]|\\.)*\"""")
 
@@ -51,7 +56,7 @@ def draft_source(guess: TrafficGuess, name: str = "draft", files: Iterable[str] 
 
     Raises nothing for what is in the guess; a guess without messages becomes a protocol without any.
     """
-    own = python_name(name).lower()
+    own = own_name(name)
     body: list[str] = []
     nodes: dict[str, str] = {}
     for message in guess.messages:
@@ -69,6 +74,11 @@ def imports_of(lines: Iterable[str]) -> list[str]:
             ordered = sorted(some, key=lambda word: (not word[:1].isupper(), word))
             found += [f"from {module} import {', '.join(ordered)}", ""]
     return found
+
+
+def own_name(name: str) -> str:
+    """Return the name of a draft's protocol, that hides nothing which a draft uses."""
+    return unused(name.lower(), set(_OURS | _CONSTRUCTS | TAKEN_BY_CODE))
 
 
 def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = False) -> list[str]:
@@ -99,12 +109,23 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
 
 
 def field_name(field: FieldGuess) -> str:
-    """Return what a field is called: its kind and where it is, by byte and, where that is not its first, bit."""
+    """Return what a field is called: its kind and where it is, by byte and, where that is not its first, bit. One whose
+    lowest bit is in a later byte, and not the first there, has both bytes: another may begin at that bit of the first.
+    """
     bit = field.start % 8
+    if field.measured is not None:
+        return _measured_name(field.measured.name)
     if field.kind == "multiplexer":
         return f"{field.kind}_{field.first_byte}"
     when = f"_at_{field.when[0]}" if field.when else ""
-    return f"{field.kind}_{field.first_byte}" + (f"_{bit}" if bit or field.length < 8 else "") + when
+    later = f"_{field.start // 8}" if bit and field.start // 8 != field.first_byte else ""
+    return f"{field.kind}_{field.first_byte}{later}" + (f"_{bit}" if bit or field.length < 8 else "") + when
+
+
+def _measured_name(name: str) -> str:
+    """Return the name of a quantity as one of a field, apart from those that are made of kinds and places."""
+    made = unused(name, set(TAKEN_BY_CODE | TAKEN_BY_RECORDS))
+    return f"{made}_" if _PLACE.fullmatch(made) else made
 
 
 # ---------------------------------------------------------------------- the head
@@ -118,10 +139,38 @@ def _about(guess: TrafficGuess, files: Iterable[str]) -> Iterator[str]:
     if guess.known:
         best = guess.known[0]
         said.append(f"{guess.decoded:,} of these frames are {best.name}, and are not in here.")
+    if guess.reference is not None:
+        said += reference_said(guess.reference)
     said += [f"{protocol.name}: {protocol.evidence}" for protocol in guess.protocols]
     said += [f"{_shown(pair.reply)} answers {_shown(pair.request)}: {pair.evidence}" for pair in guess.pairs]
     for line in said:
-        yield from wrapped(line, "# ", "#   ")
+        yield from wrapped(plain(line), "# ", "#   ")
+
+
+def reference_said(reference: ReferenceGuesses) -> Iterator[str]:
+    """Yield a sentence on a quantity, and one for each field that follows it."""
+    name = plain(reference.quantity.name)
+    clock = "on the recording's clock" if reference.is_same_clock else "taken to begin with the recording"
+    verdict = "is the first of these" if reference.found is not None else "is none of these for sure"
+    verdict = verdict if reference.guesses else "is in no field"
+    yield f"{name}, {len(reference.quantity.values):,} instants {clock}, {verdict}."
+    for guess in reference.guesses:
+        field = guess.field
+        yield f"{_shown(guess.key[0])} bits {place_text(field)}, {number_text(field)}: {field.evidence}"
+
+
+def place_text(field: FieldGuess) -> str:
+    """Return the first and the last bit of a field, as byte and bit."""
+    first, last = field.positions[0], field.positions[-1]
+    return f"{first // 8}.{first % 8}" + (f"…{last // 8}.{last % 8}" if first != last else "")
+
+
+def number_text(field: FieldGuess) -> str:
+    """Return sign, length and, over several bytes, byte order of a number: `s12 big`."""
+    first, last = field.positions[0], field.positions[-1]
+    return f"{'s' if field.signed else 'u'}{field.length}" + (
+        f" {field.order}" if first // 8 != last // 8 else ""
+    )
 
 
 def _shown(key: int) -> str:
@@ -130,6 +179,7 @@ def _shown(key: int) -> str:
 
 def plain(text: str) -> str:
     """Return foreign text as one line of ASCII."""
+    text = text.translate(_ASCII)
     return "".join(c if " " <= c < "\x7f" else "?" for c in text)
 
 
@@ -273,6 +323,11 @@ def _field(field: FieldGuess, first: int, is_big: bool) -> str:
         made = f"Counter({made}{f', {field.modulus}' if field.modulus != 1 << field.length else ''})"
     if field.kind == "enumeration" and field.values:
         made = f"Enumeration({made}, {', '.join(f'value_{value}={value}' for value in field.values)})"
+    if field.measured is not None:
+        measured = field.measured
+        said = f'unit="{measured.unit}", ' if measured.unit else ""
+        offset = f", offset={measured.offset!r}" if measured.offset else ""
+        made = f"Quantity({made}, {said}scale={measured.scale!r}{offset})"
     if field.when:
         made = f'Multiplexed("{field.selector}", {_set(field.when)}, {made})'
     return made

@@ -10,10 +10,8 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from aces_bus.protocol.exchange.names import python_name
-
 from .checks import check_source
-from .draft import TITLE, imports_of, payload_lines, plain, wrapped
+from .draft import TITLE, imports_of, own_name, payload_lines, plain, wrapped
 from .fields import FieldGuess
 from .framings import FramingGuess, framing_check
 from .streams import PacketGuess, StreamGuess, body_end
@@ -24,7 +22,7 @@ def stream_source(guess: StreamGuess, name: str = "draft", files: Iterable[str] 
     said = [f"Guessed from {guess.kept:,} bytes" + "".join(f", {file}" for file in files) + "."]
     said.append(f"{guess.decoded:,} of them are in packets; the rest is unknown.")
 
-    own = python_name(name).lower()
+    own = own_name(name)
     body: list[str] = []
     for number, framing in enumerate(guess.framings):
         variable = "packet" if len(guess.framings) == 1 else f"packet_{number}"

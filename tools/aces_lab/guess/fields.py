@@ -11,7 +11,7 @@ over is split where neighbouring bits do not belong together (`boundaries`), and
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from aces_bus._lazy import np
@@ -24,7 +24,16 @@ if TYPE_CHECKING:
 Array: TypeAlias = "npt.NDArray[Any]"
 ByteOrder = Literal["little", "big"]
 FieldKind = Literal[
-    "constant", "counter", "flag", "enumeration", "number", "text", "float", "check", "multiplexer"
+    "constant",
+    "counter",
+    "flag",
+    "enumeration",
+    "number",
+    "text",
+    "float",
+    "check",
+    "multiplexer",
+    "quantity",
 ]
 
 #: Rows that are looked at closely, and the runs of neighbours that they are taken in.
@@ -33,6 +42,16 @@ SAMPLE, RUNS = 2048, 4
 STEPS = 8
 #: Payloads beyond are bytes: no frame is as long, and the work would grow.
 LONGEST = 1024
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a measured quantity says of a field: its name and unit, and value = raw × scale + offset."""
+
+    name: str
+    unit: str
+    scale: float
+    offset: float
 
 
 @dataclass(frozen=True)
@@ -62,6 +81,8 @@ class FieldGuess:
     #: The multiplexer's name and its values at which the field is there; none: always.
     selector: str = ""
     when: tuple[int, ...] = ()
+    #: Of a quantity what a reference says of it.
+    measured: Measured | None = None
 
     @property
     def positions(self) -> tuple[int, ...]:
@@ -95,6 +116,8 @@ class FieldGuess:
             found["modulus"] = self.modulus
         if self.check is not None:
             found["check"] = self.check.declared
+        if self.measured is not None:
+            found |= asdict(self.measured)
         for name in ("values", "when"):
             if getattr(self, name):
                 found[name] = list(getattr(self, name))
@@ -155,12 +178,15 @@ class Rows:
         return values[:-1][self.follows], values[1:][self.follows]
 
 
-def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array = b"") -> list[FieldGuess]:
+def fields_of(
+    rows: Array, times_ns: Array | None = None, prefix: bytes | Array = b"", given: Sequence[FieldGuess] = ()
+) -> list[FieldGuess]:
     """Return what the bytes of a message are, by their first bytes.
 
     `rows` is uint8 of shape (n, size), the payloads in the order in which they came; `times_ns` int64 of shape (n,), or
     None where the recording does not say. `prefix` are bytes before the payload that a check may cover too, for all rows or
-    uint8 of shape (n, bytes): an identifier, highest byte first. Payloads are cut at `LONGEST` bytes.
+    uint8 of shape (n, bytes): an identifier, highest byte first. Payloads are cut at `LONGEST` bytes. Fields that are
+    `given` are among the result, and no other has bits of theirs.
     """
     from .kinds import plain_fields
     from .multiplex import selector_of
@@ -169,7 +195,9 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
     if not rows.size:
         return []
     sample = Rows(rows)
-    plain = plain_fields(sample, rows, prefix)
+    taken = {bit for field in given for bit in field.positions}
+    plain = [field for field in plain_fields(sample, rows, prefix) if taken.isdisjoint(field.positions)]
+    plain += given
     free = np.ones(8 * sample.size, bool)
     selector = selector_of(sample, plain)
     if selector is not None:

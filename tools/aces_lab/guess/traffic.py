@@ -13,7 +13,8 @@ from typing import Any
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import ERROR, rows_at
+from aces_bus.errors import CallerError
+from aces_bus.frame_table import ERROR, NO_TIME, rows_at
 from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.fitting import FittingProtocol, fitting_protocols, undecoded
 from aces_bus.traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each
@@ -22,6 +23,7 @@ from .fields import Array, FieldGuess, fields_of
 from .nodes import Members, NodeGuess, families
 from .pairs import PairGuess, pairs_of
 from .protocols import ProtocolGuess, recognised
+from .reference import LATEST, Messages, Quantity, ReferenceGuess, followers, on_clock
 
 #: Frames that are kept, and identifiers that are looked at.
 FRAMES, IDENTIFIERS = 2_000_000, 2048
@@ -121,6 +123,45 @@ class MessageGuess:
 
 
 @dataclass(frozen=True)
+class ReferenceGuesses:
+    """A quantity, and the fields that follow it, best first; their keys are (identifier with flags, length or 0)."""
+
+    quantity: Quantity
+    #: True if its instants are of the recording's clock; otherwise both were taken to begin together.
+    is_same_clock: bool
+    guesses: tuple[ReferenceGuess, ...]
+
+    @property
+    def found(self) -> ReferenceGuess | None:
+        """The field that the quantity is; None where none explains enough of it."""
+        return self.guesses[0] if self.guesses and self.guesses[0].is_found else None
+
+    def fields_of(self, keys: Sequence[int], length: int) -> tuple[FieldGuess, ...]:
+        """Return the field that was found, if it is of a message with these keys."""
+        found = self.found
+        if found is None or found.key[0] not in keys or found.key[1] != length:
+            return ()
+        return (found.field,)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it in JSON's kinds."""
+        return {
+            "name": self.quantity.name,
+            "unit": self.quantity.unit,
+            "same_clock": self.is_same_clock,
+            "found": self.found is not None,
+            "guesses": [
+                {
+                    "identifier": guess.key[0] & 0x1FFF_FFFF,
+                    "message_length": guess.key[1] or None,
+                    **guess.as_dict(),
+                }
+                for guess in self.guesses
+            ],
+        }
+
+
+@dataclass(frozen=True)
 class TrafficGuess:
     """What a recording of a CAN bus was found to be."""
 
@@ -132,6 +173,7 @@ class TrafficGuess:
     messages: tuple[MessageGuess, ...] = ()
     pairs: tuple[PairGuess, ...] = ()
     protocols: tuple[ProtocolGuess, ...] = ()
+    reference: ReferenceGuesses | None = None
     #: Error frames, and frames of identifiers beyond `IDENTIFIERS`.
     errors: int = 0
     beyond: int = 0
@@ -149,6 +191,7 @@ class TrafficGuess:
             ],
             "decoded_by_known": self.decoded,
             "protocols": [protocol.as_dict() for protocol in self.protocols],
+            "reference": None if self.reference is None else self.reference.as_dict(),
             "messages": [message.as_dict() for message in self.messages],
             "pairs": [pair.as_dict() for pair in self.pairs],
         }
@@ -175,8 +218,12 @@ class Traffic:
             self._tables.append(table.take(rows))
             self._kept += len(rows)
 
-    def guess(self, *, known: bool = True) -> TrafficGuess:
-        """Return what the frames are. With `known`, what the best of the installed protocols decodes is not guessed."""
+    def guess(
+        self, *, known: bool = True, quantity: Quantity | None = None, latest_s: float = LATEST
+    ) -> TrafficGuess:
+        """Return what the frames are. With `known`, what the best of the installed protocols decodes is not guessed; with a
+        quantity, the fields that follow it are sought, with delays of up to `latest_s`.
+        """
         frames = _one_table(self._tables)
         self._tables = [frames]
         fitting: list[FittingProtocol] = []
@@ -188,7 +235,8 @@ class Traffic:
                 decoded = len(frames) - len(left)
                 frames = frames.take(left)
         standards = tuple(recognised(frames))
-        messages, beyond = _messages(frames, standards)
+        reference = None if quantity is None else _reference(frames, standards, quantity, latest_s)
+        messages, beyond = _messages(frames, standards, reference)
         return TrafficGuess(
             self.frames,
             self._kept,
@@ -197,6 +245,7 @@ class Traffic:
             tuple(messages),
             tuple(pairs_of(frames, _clocked(messages))),
             standards,
+            reference,
             self.errors,
             beyond,
         )
@@ -253,7 +302,38 @@ def _carried(standards: Iterable[ProtocolGuess]) -> dict[int, str]:
     }
 
 
-def _messages(frames: FrameTable, standards: Sequence[ProtocolGuess]) -> tuple[list[MessageGuess], int]:
+def _reference(
+    frames: FrameTable, standards: Sequence[ProtocolGuess], quantity: Quantity, latest_s: float
+) -> ReferenceGuesses:
+    """Return the fields that follow a quantity, by (key, length): of each identifier on the channel where it has most
+    frames, and apart for each of its lengths where these are few (0: of what all lengths have).
+    """
+    apart = {key for standard in standards if standard.name in TRANSPORTS for key in standard.keys}
+    is_timed = frames.time != NO_TIME
+    if not is_timed.any():
+        raise CallerError("a reference needs a recording with times, and this one has none")
+    first = int(frames.time[is_timed].min())
+    quantity, is_same_clock = on_clock(quantity, first * 1e-9, int(frames.time.max()) * 1e-9)
+
+    def messages() -> Iterator[Messages]:
+        for key, by_channel in list(rows_by_key(frames).items())[:IDENTIFIERS]:
+            rows = by_channel[0][is_timed[by_channel[0]]]
+            lengths = np.unique(frames.length[rows]).tolist()
+            if key in apart or key & REMOTE:
+                continue
+            for length in lengths if len(lengths) <= LENGTHS else lengths[:1]:
+                some = rows[frames.length[rows] == length] if len(lengths) <= LENGTHS else rows
+                if length:
+                    data = np.ascontiguousarray(rows_at(frames.data, some)[:, :length])
+                    of_length = length if len(lengths) <= LENGTHS else 0
+                    yield Messages((key, of_length), (frames.time[some] - first) * 1e-9, data)
+
+    return ReferenceGuesses(quantity, is_same_clock, tuple(followers(messages(), quantity, latest_s)))
+
+
+def _messages(
+    frames: FrameTable, standards: Sequence[ProtocolGuess], reference: ReferenceGuesses | None
+) -> tuple[list[MessageGuess], int]:
     carried = _carried(standards)
     parts = {key for standard in standards if standard.packets for key in standard.keys}
     groups: list[Members] = []
@@ -273,7 +353,7 @@ def _messages(frames: FrameTable, standards: Sequence[ProtocolGuess]) -> tuple[l
     found: list[MessageGuess] = []
     looked_at = 0
     for group in families(frames, [candidate for candidate in groups if candidate.keys[0] not in carried]):
-        found += _messages_of(frames, group, with_fields=looked_at < BYTES)
+        found += _messages_of(frames, group, reference, with_fields=looked_at < BYTES)
         looked_at += sum(group.lengths[-LENGTHS:])
     for group in groups:
         if group.keys[0] in carried:
@@ -293,29 +373,38 @@ def _packets(group: Members, transport: str) -> MessageGuess:
     )
 
 
-def _messages_of(frames: FrameTable, group: Members, with_fields: bool) -> Iterator[MessageGuess]:
+def _messages_of(
+    frames: FrameTable, group: Members, reference: ReferenceGuesses | None, with_fields: bool
+) -> Iterator[MessageGuess]:
     """Yield the messages of an identifier: one a length where there are few, else one of what all lengths have."""
     name = _name(group)
     if len(group.lengths) == 1 or group.keys[0] & REMOTE:
-        yield _message(frames, group, name, group.rows, group.lengths[0], with_fields)
+        yield _message(frames, group, name, group.rows, group.lengths[0], reference, with_fields)
     elif len(group.lengths) <= LENGTHS:
         for length in group.lengths:
             rows = group.rows[frames.length[group.rows] == length]
-            yield _message(frames, group, f"{name}Length{length}", rows, length, with_fields)
+            yield _message(frames, group, f"{name}Length{length}", rows, length, reference, with_fields)
     else:
-        yield _message(frames, group, name, group.rows, None, with_fields)
+        yield _message(frames, group, name, group.rows, None, reference, with_fields)
 
 
 def _message(
-    frames: FrameTable, group: Members, name: str, rows: Array, length: int | None, with_fields: bool
+    frames: FrameTable,
+    group: Members,
+    name: str,
+    rows: Array,
+    length: int | None,
+    reference: ReferenceGuesses | None,
+    with_fields: bool,
 ) -> MessageGuess:
     size = group.lengths[0] if length is None else length
     key = group.keys[0]
     fields: list[FieldGuess] = []
-    if with_fields and not key & REMOTE and size:
+    given = () if reference is None else reference.fields_of(group.keys, length or 0)
+    if (with_fields or given) and not key & REMOTE and size:
         digits = 4 if key & EXTENDED else 2
         prefix = (frames.id[rows].astype(">u4").view(np.uint8).reshape(-1, 4))[:, 4 - digits :]
-        fields = fields_of(rows_at(frames.data, rows)[:, :size], frames.time[rows], prefix)
+        fields = fields_of(rows_at(frames.data, rows)[:, :size], frames.time[rows], prefix, given)
     return MessageGuess(
         name,
         group.keys,

@@ -10,13 +10,23 @@
                                         what tells packets apart, their fields
   aces spec guess drive.log --no-known  do not try the installed protocols first
   aces spec guess drive.log --json      all guesses, for programs
+  aces spec guess drive.log --reference gps.csv:speed --unit m/s -o draft.py
+                                        which field is it? A quantity that was
+                                        measured meanwhile: identifier, bits,
+                                        order, sign, scale, offset, delay
 
 A guess has its evidence, and a confidence from 0 to 1. Fields are named by
 kind and place: number_2_4 begins in byte 2, its lowest bit is bit 4 of a byte.
 What never changed is a constant of this recording, and no more than that; the
 longer a recording is and the more happens in it, the better the guesses.
 
-exit status: 0 guessed, or known already; 2 a wrong call, or a recording that is
+A reference's instants are in the column that is named like time (time, t_ms,
+timestamp …), or in that of --time: seconds, Unix time in s, ms, us or ns, or
+dates in ISO 8601 (UTC where they name no zone). Where they are not of the
+recording's time, both are taken to begin together; --delay says how far off that
+may be.
+
+exit status: 0 guessed, or known already; 1 no field follows the reference; 2 a wrong call, or a recording that is
 empty or cannot be read (what a damaged one holds is guessed nevertheless)
 """
 
@@ -42,7 +52,7 @@ from aces_tools.console import (
     say_note,
     write_text,
 )
-from aces_tools.options import COLOR, JSON, OUTPUT, Arguments, argument, flag
+from aces_tools.options import COLOR, JSON, OUTPUT, Arguments, argument, duration, flag
 from aces_tools.output.columns import Page
 from aces_tools.patience import Patience
 
@@ -56,7 +66,10 @@ from . import (
     draft_source,
     stream_source,
 )
-from .traffic import runs_text
+from .draft import number_text, place_text, reference_said
+from .reference import LATEST
+from .reference_file import read_quantity
+from .traffic import ReferenceGuesses, runs_text
 
 #: Pairs and known protocols that are listed.
 LISTED = 20
@@ -73,6 +86,19 @@ ARGUMENTS: Arguments = (
     OUTPUT.but(metavar="draft.py", help="write the draft of a spec there"),
     flag("--force", help="overwrite a draft that is there already"),
     flag("--no-known", help="guess everything, also what an installed protocol decodes"),
+    argument(
+        "--reference",
+        metavar="FILE.csv:COLUMN",
+        help="a quantity that was measured meanwhile: find its field (implies --no-known)",
+    ),
+    argument(
+        "--delay",
+        type=duration,
+        metavar="DURATION",
+        help="the longest delay between reference and field, either way (default: 0.6s; at most 1min)",
+    ),
+    argument("--time", metavar="COLUMN", help="the column of the reference's instants"),
+    argument("--unit", default="", help="the unit of the reference's values"),
     JSON.but(help="all guesses as JSON"),
     COLOR,
 )
@@ -82,6 +108,16 @@ def run(arguments: argparse.Namespace) -> int:
     check_suffix("-o", arguments.output, ".py")
     if arguments.output is not None and os.path.exists(arguments.output) and not arguments.force:
         raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
+    if arguments.reference is None and (arguments.time or arguments.unit or arguments.delay):
+        raise CallerError("--time, --unit and --delay are of a --reference")
+    latest_s = LATEST if arguments.delay is None else arguments.delay * 1e-9
+    if latest_s > 60:
+        raise CallerError("--delay: at most 1min; shift the reference's instants first")
+    quantity = (
+        None
+        if arguments.reference is None
+        else read_quantity(arguments.reference, arguments.time, arguments.unit)
+    )
     traffic, stream = Traffic(), StreamTraffic()
     status = 0
     with Patience() as patience:
@@ -114,7 +150,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise CaptureError(
             f"{', '.join(map(_title, arguments.files))}: nothing to guess: no frames and no bytes"
         )
-    guess = traffic.guess(known=not arguments.no_known)
+    guess = traffic.guess(
+        known=not arguments.no_known and quantity is None, quantity=quantity, latest_s=latest_s
+    )
     if arguments.output is not None and guess.messages:
         stem = Path(arguments.output).stem
         write_text(
@@ -129,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None and not guess.messages:
         said = f"is {_best(guess.known)}" if guess.known else "has nothing to guess"
         say(f"no draft was written: the recording {said}")
-    return status
+    return status or int(guess.reference is not None and guess.reference.found is None)
 
 
 def _best(known: Sequence[FittingProtocol]) -> str:
@@ -226,6 +264,8 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
                 f"guessed is what {guess.known[0].name} leaves: {counted(left, 'frame')} (--no-known: everything)"
             ]
         )
+    if guess.reference is not None:
+        _show_reference(guess.reference, page)
     for protocol in guess.protocols:
         page.lines([""])
         page.beside(protocol.name, [f"{protocol.evidence} ({protocol.confidence:.2f})"], "message")
@@ -249,6 +289,30 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
         say_note(
             f"{arguments.output}: written; next: aces decode {files} -p {quoted}; aces spec check {quoted} --against {files}"
         )
+
+
+def _show_reference(reference: ReferenceGuesses, page: Page) -> None:
+    heading, *_ = reference_said(reference)
+    page.lines(["", printable(heading)])
+    if not reference.guesses:
+        return
+    unit = reference.quantity.unit
+    page.table(
+        ("message", "bits", "number", "scale", "offset", "delay", "explains", "leaves"),
+        [
+            (
+                _identifier(guess.key[0]),
+                place_text(guess.field),
+                number_text(guess.field),
+                f"{guess.scale:g}",
+                f"{guess.offset:g}{unit and ' ' + unit}",
+                f"{1e3 * guess.delay_s:+.0f} ms",
+                f"{guess.explained:.2%}",
+                f"{guess.residual:.2g}",
+            )
+            for guess in reference.guesses
+        ],
+    )
 
 
 def _bytes(lengths: Sequence[int]) -> str:
@@ -277,13 +341,10 @@ def _headline(message: MessageGuess) -> str:
 
 
 def _cells(field: FieldGuess) -> tuple[str, ...]:
-    first, last = field.positions[0], field.positions[-1]
-    where = f"{first // 8}.{first % 8}" + (f"…{last // 8}.{last % 8}" if first != last else "")
-    kind = field.kind
-    if field.kind in ("number", "counter", "float"):
-        size = f"{'s' if field.signed else 'u'}{field.length}" if field.kind != "float" else f"{field.length}"
-        order = f" {field.order}" if first // 8 != last // 8 else ""
-        kind = f"{field.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    where = place_text(field)
+    kind: str = field.kind
+    if field.kind in ("number", "counter", "float", "quantity"):
+        kind += f" {number_text(field)}"
     if field.when:
         where += f" at {field.when[0]}"
     return (_name(field), where, kind, f"{field.confidence:.2f}", field.evidence)
