@@ -30,7 +30,7 @@ from aces_bus.device import load_driver
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 from aces_lab.guess import ReferenceGuess, Traffic
-from aces_lab.guess.reference import Messages, Quantity, followers
+from aces_lab.guess.reference import MeasuredQuantity, Messages, followers
 from aces_lab.guess.reference_file import read_quantity
 
 Array = Any
@@ -76,7 +76,7 @@ class Drawn:
     """A database's messages, a quantity, and what it is."""
 
     messages: list[Messages]
-    quantity: Quantity
+    quantity: MeasuredQuantity
     number: Number
     scale: float
     offset: float
@@ -107,7 +107,7 @@ def drawn(seed: int, count: int = 10) -> Drawn:
     values = number.raw(times + delay) * scale + offset + numbers.normal(0, 0.01 * extent, len(times))
     step = extent / 50
     instants = np.sort(times + numbers.normal(0, 0.005, len(times)))
-    quantity = Quantity("speed", "m/s", instants, np.round(values / step) * step)
+    quantity = MeasuredQuantity("speed", "m/s", instants, np.round(values / step) * step)
     return Drawn(messages, quantity, number, scale, offset, delay, step)
 
 

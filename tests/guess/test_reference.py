@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aces_bus.errors import CallerError, CaptureError
-from aces_lab.guess import Quantity, read_quantity
+from aces_lab.guess import MeasuredQuantity, read_quantity
 from aces_lab.guess.reference import Messages, followers, on_clock
 from tests.bench.guess_reference import TWINS, drawn, score, twin_guess
 
@@ -58,7 +58,7 @@ def test_a_float_is_found_as_one() -> None:
     times, values = swing()
     rows = np.zeros((len(times), 8), np.uint8)
     rows[:, 2:6] = (10 * values).astype(">f4").view(np.uint8).reshape(-1, 4)
-    [found] = followers([Messages(0, times, rows)], Quantity("angle", "rad", times, values))
+    [found] = followers([Messages(0, times, rows)], MeasuredQuantity("angle", "rad", times, values))
     assert (found.field.kind, found.field.start, found.field.order) == ("float", 40, "big")
     assert found.scale == pytest.approx(0.1)
 
@@ -68,7 +68,7 @@ def test_a_few_messages_of_other_contents_do_no_harm() -> None:
     times, values = swing()
     rows = np.round(3000 * values).astype("<i2").view(np.uint8).reshape(-1, 2).copy()
     rows[100:120] = 0x55
-    [found] = followers([Messages(0, times, rows)], Quantity("angle", "rad", times, values))
+    [found] = followers([Messages(0, times, rows)], MeasuredQuantity("angle", "rad", times, values))
     assert (found.field.start, found.field.length, found.field.signed) == (0, 16, True)
     assert found.messages < 790
     assert "are far from it" in found.field.evidence
@@ -79,8 +79,10 @@ def test_nothing_follows_a_quantity_that_has_nothing_to_do_with_it() -> None:
     times, values = swing()
     numbers = np.random.default_rng(1)
     rows = numbers.integers(0, 256, (len(times), 8), np.uint8)
-    assert followers([Messages(0, times, rows)], Quantity("angle", "rad", times, values)) == []
-    assert followers([Messages(0, times[:5], rows[:5])], Quantity("angle", "rad", times, values)) == []
+    assert followers([Messages(0, times, rows)], MeasuredQuantity("angle", "rad", times, values)) == []
+    assert (
+        followers([Messages(0, times[:5], rows[:5])], MeasuredQuantity("angle", "rad", times, values)) == []
+    )
 
 
 def test_nothing_is_interpolated_over_a_gap_of_the_reference() -> None:
@@ -88,14 +90,16 @@ def test_nothing_is_interpolated_over_a_gap_of_the_reference() -> None:
     times, values = swing()
     rows = np.round(3000 * values).astype("<i2").view(np.uint8).reshape(-1, 2)
     known = (times < 2) | (times > 5)
-    [found] = followers([Messages(0, times, rows)], Quantity("angle", "rad", times[known], values[known]))
+    [found] = followers(
+        [Messages(0, times, rows)], MeasuredQuantity("angle", "rad", times[known], values[known])
+    )
     assert found.messages <= 500
     assert found.explained > 0.999999
 
 
 def test_clocks_without_common_instants_begin_together() -> None:
     """And it is said which it was."""
-    quantity = Quantity("angle", "rad", np.array([5.0, 6.0, 9.0]), np.zeros(3))
+    quantity = MeasuredQuantity("angle", "rad", np.array([5.0, 6.0, 9.0]), np.zeros(3))
     same, is_same = on_clock(quantity, 4.0, 10.0)
     assert (same.times_s.tolist(), is_same) == ([1.0, 2.0, 5.0], True)
     other, is_same = on_clock(quantity, 1.7e9, 1.7e9 + 5)

@@ -16,7 +16,7 @@ from .framings import FramingGuess, LengthRule
 from .nodes import NodeGuess
 from .pairs import PairGuess
 from .protocols import ProtocolGuess
-from .reference import Quantity, ReferenceGuess
+from .reference import MeasuredQuantity, ReferenceGuess
 from .reference_file import read_quantity
 from .streams import PacketGuess, StreamGuess, StreamTraffic
 from .traffic import MessageGuess, ReferenceGuesses, TimingGuess, Traffic, TrafficGuess
@@ -28,12 +28,12 @@ __all__ = [
     "FieldKind",
     "FramingGuess",
     "LengthRule",
+    "MeasuredQuantity",
     "MessageGuess",
     "NodeGuess",
     "PacketGuess",
     "PairGuess",
     "ProtocolGuess",
-    "Quantity",
     "ReferenceGuess",
     "ReferenceGuesses",
     "StreamGuess",

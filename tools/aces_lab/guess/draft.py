@@ -156,7 +156,7 @@ def reference_said(reference: ReferenceGuesses) -> Iterator[str]:
     yield f"{name}, {len(reference.quantity.values):,} instants {clock}, {verdict}."
     for guess in reference.guesses:
         field = guess.field
-        yield f"{_shown(guess.key[0])} bits {place_text(field)}, {number_text(field)}: {field.evidence}"
+        yield f"{_shown(guess.key[0])} bits {place_text(field)}, {integer_text(field)}: {field.evidence}"
 
 
 def place_text(field: FieldGuess) -> str:
@@ -165,7 +165,7 @@ def place_text(field: FieldGuess) -> str:
     return f"{first // 8}.{first % 8}" + (f"…{last // 8}.{last % 8}" if first != last else "")
 
 
-def number_text(field: FieldGuess) -> str:
+def integer_text(field: FieldGuess) -> str:
     """Return sign, length and, over several bytes, byte order of a number: `s12 big`."""
     first, last = field.positions[0], field.positions[-1]
     return f"{'s' if field.signed else 'u'}{field.length}" + (

@@ -52,7 +52,7 @@ MOST_NOISE = 0.2
 GAP_S, GAPS = 1.0, 5.0
 
 
-class Quantity(NamedTuple):
+class MeasuredQuantity(NamedTuple):
     """A measured quantity: `values` at rising `times_s`, both float64 of shape (n,), and what it is called."""
 
     name: str
@@ -99,7 +99,7 @@ class ReferenceGuess:
         return {**bits, **{name: getattr(self, name) for name in names}}
 
 
-def on_clock(quantity: Quantity, first_s: float, last_s: float) -> tuple[Quantity, bool]:
+def on_clock(quantity: MeasuredQuantity, first_s: float, last_s: float) -> tuple[MeasuredQuantity, bool]:
     """Return a quantity on the clock of a recording (from `first_s` to `last_s`), counted from its first instant, and
     whether both had the same clock: where they have no instants in common, both are taken to begin together.
     """
@@ -110,7 +110,7 @@ def on_clock(quantity: Quantity, first_s: float, last_s: float) -> tuple[Quantit
 
 
 def followers(
-    messages: Iterable[Messages], quantity: Quantity, latest_s: float = LATEST
+    messages: Iterable[Messages], quantity: MeasuredQuantity, latest_s: float = LATEST
 ) -> list[ReferenceGuess]:
     """Return the fields that explain a quantity, best first, the best of each kind of messages; none explains less than
     `LISTED`. Delays of up to `latest_s` are tried, either way.
@@ -136,7 +136,7 @@ class _Coarse(NamedTuple):
     delay_s: float
 
 
-def _delayed(quantity: Quantity, times: Array, delays: Array) -> tuple[Array, Array]:
+def _delayed(quantity: MeasuredQuantity, times: Array, delays: Array) -> tuple[Array, Array]:
     """Return which messages came while there was a reference at all delays, and its values for them (n, delays)."""
     known = quantity.times_s
     gaps = np.diff(known)
@@ -163,7 +163,7 @@ def _thinned(messages: Messages, most: int) -> tuple[Array, Array]:
     return messages.times_s[places], messages.rows[places]
 
 
-def _coarse(messages: Messages, quantity: Quantity, latest_s: float) -> _Coarse:
+def _coarse(messages: Messages, quantity: MeasuredQuantity, latest_s: float) -> _Coarse:
     """Return how much of a quantity the best field explains, and at which delay, in large steps."""
     times, rows = _thinned(messages, ROWS)
     delays = STEP * np.arange(-np.ceil(latest_s / STEP), np.ceil(latest_s / STEP) + 1)
@@ -257,7 +257,7 @@ def _floats(rows: Array, values: Array) -> Iterator[tuple[FieldGuess, Array]]:
 # ---------------------------------------------------------------------- the best fields, closely
 
 
-def _closely(messages: Messages, quantity: Quantity, coarse: _Coarse) -> ReferenceGuess | None:
+def _closely(messages: Messages, quantity: MeasuredQuantity, coarse: _Coarse) -> ReferenceGuess | None:
     """Return the best field of a kind of messages, with its scale, offset and delay."""
     times, rows = _thinned(messages, FINE_ROWS)
     delay = coarse.delay_s
@@ -279,7 +279,7 @@ def _closely(messages: Messages, quantity: Quantity, coarse: _Coarse) -> Referen
 
 
 def _field_at(
-    messages: Messages, times: Array, rows: Array, quantity: Quantity, delay: float
+    messages: Messages, times: Array, rows: Array, quantity: MeasuredQuantity, delay: float
 ) -> tuple[FieldGuess, Array, Array] | None:
     """Return the best field at a delay, which messages were used for it, and the values of the quantity for these."""
     used, values = _delayed(quantity, times, np.array([delay]))
@@ -391,7 +391,7 @@ def _fitted(
     rows: Array,
     values: Array,
     delay: float,
-    quantity: Quantity,
+    quantity: MeasuredQuantity,
     strangers: int,
 ) -> ReferenceGuess:
     raw = raw_values(field, rows)
@@ -404,7 +404,7 @@ def _fitted(
     # Noise of the field itself makes the line flatter than it is, by its share of the field's variance.
     noise = min(_noise(field, messages.rows), (residual / exact) ** 2) * len(rows)
     exact /= 1 - min(noise / spread, MOST_NOISE)
-    scale = shortest(exact, min(SURE * error, MOST_ROUNDED * abs(exact)))
+    scale = rounded_within(exact, min(SURE * error, MOST_ROUNDED * abs(exact)))
     offset_error = SURE * (residual / len(rows) ** 0.5 + error * abs(middle))
     explained = float(1 - (left**2).mean() / max(float(values.var()), 1e-300))
     confidence = max(0.0, min(0.99, explained))
@@ -412,7 +412,9 @@ def _fitted(
     said += f", {1e3 * delay:+.0f} ms late, scale {exact:.6g} ± {error:.1g} by {len(rows):,} messages"
     if strangers:
         said += f", without {strangers:,} that are far from it"
-    measured = Measured(quantity.name, quantity.unit, scale, shortest(mean - scale * middle, offset_error))
+    measured = Measured(
+        quantity.name, quantity.unit, scale, rounded_within(mean - scale * middle, offset_error)
+    )
     field = replace(
         field,
         kind="float" if field.kind == "float" else "quantity",
@@ -433,10 +435,10 @@ def _noise(field: FieldGuess, rows: Array) -> float:
     return float((bends**2).mean()) / 6 if len(bends) else 0.0
 
 
-def shortest(value: float, error: float) -> float:
+def rounded_within(value: float, error: float) -> float:
     """Return the number with the fewest digits that is at most `error` away.
 
-    >>> shortest(0.0099871, 0.00002), shortest(-40.02, 0.1), shortest(0.3, 0.5)
+    >>> rounded_within(0.0099871, 0.00002), rounded_within(-40.02, 0.1), rounded_within(0.3, 0.5)
     (0.01, -40.0, 0.0)
     """
     if abs(value) <= error:

@@ -21,7 +21,7 @@ from aces_bus.errors import CallerError, CaptureError
 from aces_bus.protocol.lint.fields import is_unit, suggest
 
 from .fields import Array
-from .reference import Quantity
+from .reference import MeasuredQuantity
 
 #: Rows that are read, and characters of a line.
 ROWS, LINE = 2_000_000, 1 << 16
@@ -35,7 +35,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _UNIX = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 
-def read_quantity(text: str, time: str | None = None, unit: str = "") -> Quantity:
+def read_quantity(text: str, time: str | None = None, unit: str = "") -> MeasuredQuantity:
     """Return the quantity that `FILE.csv:COLUMN` names, with the instants of the column `time`, or of the one that is
     named so.
 
@@ -65,7 +65,7 @@ def read_quantity(text: str, time: str | None = None, unit: str = "") -> Quantit
     times, first = np.unique(times, return_index=True)
     named = _UNIT.search(head[at])
     own = (named["unit"] if named is not None else None) or ""
-    return Quantity(_bare(head[at]), unit or (own if is_unit(own) else ""), times, values[first])
+    return MeasuredQuantity(_bare(head[at]), unit or (own if is_unit(own) else ""), times, values[first])
 
 
 def _table(path: str, first: str, lines: Iterator[str]) -> tuple[list[str], Iterator[list[str]]]:

@@ -23,7 +23,7 @@ from .fields import Array, FieldGuess, fields_of
 from .nodes import Members, NodeGuess, families
 from .pairs import PairGuess, pairs_of
 from .protocols import ProtocolGuess, recognised
-from .reference import LATEST, Messages, Quantity, ReferenceGuess, followers, on_clock
+from .reference import LATEST, MeasuredQuantity, Messages, ReferenceGuess, followers, on_clock
 
 #: Frames that are kept, and identifiers that are looked at.
 FRAMES, IDENTIFIERS = 2_000_000, 2048
@@ -126,7 +126,7 @@ class MessageGuess:
 class ReferenceGuesses:
     """A quantity, and the fields that follow it, best first; their keys are (identifier with flags, length or 0)."""
 
-    quantity: Quantity
+    quantity: MeasuredQuantity
     #: True if its instants are of the recording's clock; otherwise both were taken to begin together.
     is_same_clock: bool
     guesses: tuple[ReferenceGuess, ...]
@@ -219,7 +219,7 @@ class Traffic:
             self._kept += len(rows)
 
     def guess(
-        self, *, known: bool = True, quantity: Quantity | None = None, latest_s: float = LATEST
+        self, *, known: bool = True, quantity: MeasuredQuantity | None = None, latest_s: float = LATEST
     ) -> TrafficGuess:
         """Return what the frames are. With `known`, what the best of the installed protocols decodes is not guessed; with a
         quantity, the fields that follow it are sought, with delays of up to `latest_s`.
@@ -303,7 +303,7 @@ def _carried(standards: Iterable[ProtocolGuess]) -> dict[int, str]:
 
 
 def _reference(
-    frames: FrameTable, standards: Sequence[ProtocolGuess], quantity: Quantity, latest_s: float
+    frames: FrameTable, standards: Sequence[ProtocolGuess], quantity: MeasuredQuantity, latest_s: float
 ) -> ReferenceGuesses:
     """Return the fields that follow a quantity, by (key, length): of each identifier on the channel where it has most
     frames, and apart for each of its lengths where these are few (0: of what all lengths have).

@@ -66,7 +66,7 @@ from . import (
     draft_source,
     stream_source,
 )
-from .draft import number_text, place_text, reference_said
+from .draft import integer_text, place_text, reference_said
 from .reference import LATEST
 from .reference_file import read_quantity
 from .traffic import ReferenceGuesses, runs_text
@@ -303,7 +303,7 @@ def _show_reference(reference: ReferenceGuesses, page: Page) -> None:
             (
                 _identifier(guess.key[0]),
                 place_text(guess.field),
-                number_text(guess.field),
+                integer_text(guess.field),
                 f"{guess.scale:g}",
                 f"{guess.offset:g}{unit and ' ' + unit}",
                 f"{1e3 * guess.delay_s:+.0f} ms",
@@ -344,7 +344,7 @@ def _cells(field: FieldGuess) -> tuple[str, ...]:
     where = place_text(field)
     kind: str = field.kind
     if field.kind in ("number", "counter", "float", "quantity"):
-        kind += f" {number_text(field)}"
+        kind += f" {integer_text(field)}"
     if field.when:
         where += f" at {field.when[0]}"
     return (_name(field), where, kind, f"{field.confidence:.2f}", field.evidence)
