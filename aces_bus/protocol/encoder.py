@@ -156,11 +156,15 @@ class Encoder:
         quick = self._quick.get(message.name) if not raw else None
         if quick is not None:
             more = self._unsaid.get(message.name)
+            own = fields if more is None else {**more, **fields}
+            if message.request_fields:
+                own = {name: value for name, value in own.items() if name not in message.request_fields}
             try:
-                identifier, head, body = quick(fields if more is None else {**more, **fields})
-                if message.framing is not None:
-                    question = message.question(fields)
-                    return bytes(message.struct.framed(message.framing, head, body, question))
+                identifier, head, body = quick(own)
+                framing = message.framing
+                if framing is not None:
+                    asked = message.question(fields) if framing.covers_request else b""
+                    return bytes(message.struct.framed(framing, head, body, asked))
                 return identifier, head + body, message.extended, message.remote, message.fd
             except USUAL_FAILURES:
                 pass  # construct decides, and explains

@@ -564,7 +564,7 @@ class Message:
         head = self.framing.extra_head if self.framing is not None else None
         return next((own.pattern for own in self.heads_written if head and own.name == head.name), None)
 
-    @property
+    @cached_property
     def least(self) -> int:
         """The bytes of the payload, at least."""
         return sizes(self.payload)[0]
@@ -705,7 +705,7 @@ class Message:
     def with_payload(self, payload: c.Struct) -> Message:
         """Return this message with other fields: one of the shapes of a message whose fields are there by bits."""
         made = copy.copy(self)
-        for name in ("struct", "payload_names", "counters", "constants", "check_span", "check_over"):
+        for name in ("struct", "payload_names", "counters", "constants", "least", "check_span", "check_over"):
             made.__dict__.pop(name, None)
         made.payload = payload
         low, high = sizes(payload)

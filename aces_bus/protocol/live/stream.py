@@ -77,6 +77,11 @@ class StreamScanner:
                 self._bind(number, framing, decider, decode, names)
                 self.max_size = max(self.max_size, framing.max_size)
         self.framings = tuple(framing for framing, _ in framings)
+        #: What `sent` looks for: requests with their framings, and the bytes that seed their checks.
+        self._asked = [
+            (decider, [(m, m.framing, m.extras) for m in decider.asked if m.framing is not None])
+            for decider in self.deciders
+        ]
         #: Seconds of silence after which no packet goes on.
         self.gap = max((framing.gap or 0.0 for framing in self.framings), default=0.0)
         label = " + ".join(variant.label for variant in variants)
@@ -397,14 +402,15 @@ class StreamScanner:
         """Note our own transmission, one packet: a request that replies may need. It is not counted and gives
         no record.
         """
-        for decider in self.deciders:
-            for message in decider.asked:
-                framing = message.framing
-                assert framing is not None
-                judged = framing.judge(data, 0, silent=True, extras=message.extras)
-                if judged.verdict is not Verdict.WHOLE or judged.size != len(data):
-                    continue
-                if decider.note(message, framing.logical(data), 0, time, None, data):
+        for decider, asked in self._asked:
+            whole: dict[Framing, bool] = {}
+            for message, framing, extras in asked:
+                is_whole = whole.get(framing)
+                if is_whole is None or extras is not None:
+                    judged = framing.judge(data, 0, silent=True, extras=extras)
+                    is_whole = judged.verdict is Verdict.WHOLE and judged.size == len(data)
+                    whole[framing] = is_whole
+                if is_whole and decider.note(message, framing.logical(data), 0, time, None, data):
                     return
 
     @property
