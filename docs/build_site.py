@@ -63,6 +63,7 @@ CONTENTS: dict[str, list[str]] = {
     ],
     "Protocols": [
         "language",
+        "answers",
         "transports",
         "checking",
         "proofs",
