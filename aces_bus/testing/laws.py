@@ -47,6 +47,7 @@ from .trial import (
     LawError,
     ScannedItem,
     Trial,
+    as_given,
     as_items,
     comparable,
     law,
@@ -119,7 +120,7 @@ def _values_survive(packet: DrawnPacket) -> str:
     except (ConstructError, AcesError) as error:
         return f"{message.name} built from {comparable(packet.values)} is not read again: {image.hex()}: {error!r}"
     wanted = comparable(packet.values)
-    if {k: parsed.get(k) for k in wanted} != wanted:
+    if as_given(parsed, wanted) != wanted:
         return f"{message.name}: {wanted} comes back as {parsed} ({image.hex()})"
     return ""
 

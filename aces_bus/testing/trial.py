@@ -169,6 +169,15 @@ def comparable(value: Any) -> Any:
     return value
 
 
+def as_given(found: object, given: object) -> object:
+    """Return what was found, as far as it was given: numbers that are rebuilt when sending are left out, at any depth."""
+    if isinstance(found, dict) and isinstance(given, dict):
+        return {k: as_given(found.get(k), v) for k, v in given.items()}
+    if isinstance(found, list) and isinstance(given, list) and len(found) == len(given):
+        return [as_given(one, other) for one, other in zip(found, given, strict=True)]
+    return found
+
+
 def plain_counts(counts: ScanCounts) -> dict[str, Any]:
     """Return counts as plain values."""
     bins = (

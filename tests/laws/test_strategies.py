@@ -19,7 +19,7 @@ from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.testing import LAWS, Scene, laws, strategies
 from aces_bus.testing.packets import DrawnPacket, UndrawableError
 from aces_bus.testing.source import Entropy
-from aces_bus.testing.trial import comparable
+from aces_bus.testing.trial import as_given, comparable
 from tests.laws.drawn import drawn_arguments, drawn_packet
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
@@ -59,7 +59,8 @@ def test_strategies_draw_valid_packets(name: str, data: st.DataObject) -> None:
     packet = data.draw(strategies.packets(variant))
     request = packet.request.values if packet.request is not None else packet.values
     read = comparable(packet.message.struct.parse(packet.image, raw=True, request=request))
-    assert {k: read[k] for k in packet.values} == comparable(packet.values)
+    wanted = comparable(packet.values)
+    assert as_given(read, wanted) == wanted
     values = data.draw(strategies.fields(packet.message))
     assert set(values) <= set(packet.message.fields)
 

@@ -120,6 +120,34 @@ def test_values_beside_their_bits_are_refused() -> None:
         points().encode("Scan", kind=0x21, speed=1, points=[{"distance": 1, "intensity": 2}] * 2)
 
 
+def test_flags_that_say_what_is_there_are_given_by_name() -> None:
+    """Names of flags are their number, before the fields and in the header."""
+    made = frames()
+    assert made.encode("State", flags=["speed"], speed=5).data == made.encode("State", flags=1, speed=5).data
+    stream = Protocol("stream", link="serial")
+    packet = stream.framing(
+        sync=b"$", header=Struct("flags" / Flags(Byte, a=0, b=3)), size="fields", max_size=9
+    )
+    packet("M", payload=Struct("a" / Present("flags", 0, Byte), "b" / Present("flags", 3, Int16ul)))
+    assert stream.encode("M", flags=["b"], b=7) == stream.encode("M", flags=8, b=7) == b"$\x08\x07\x00"
+
+
+def test_missing_values_beside_fields_that_are_there_by_bits() -> None:
+    """A field that is always there and may be unknown is a column that may be absent."""
+    made = Protocol("beside", link="can")
+    payload = Struct(
+        "flags" / Byte,
+        "speed" / Quantity(Byte, unit="m/s", unknown=[255]),
+        "load" / Present("flags", 0, Byte),
+    )
+    made.message("State", id=0x10, payload=payload)
+    table = made.decode(
+        [made.encode("State", flags=0, speed=None), made.encode("State", flags=1, speed=3, load=4)]
+    )
+    assert table["State"]["speed"].to_list() == [None, 3]
+    assert table["State"]["speed"].kind.optional
+
+
 def test_a_frame_of_another_length_is_malformed() -> None:
     """A frame whose bits say three bytes is not read with four."""
     made = frames()

@@ -689,6 +689,12 @@ class Flags(Field):
             number |= 1 << self.names[name]
         return number
 
+    def _build(self, obj: object, stream: object, context: object, path: str) -> int:
+        super()._build(obj, stream, context, path)
+        return int(
+            self.to_raw(obj, path)
+        )  # what is present by its bits reads the number, however it was given
+
 
 class Counter(Field):
     """A rolling counter: each packet of a device is `modulo` arithmetic one more than the last.

@@ -12,7 +12,7 @@ from construct import Bytes, Const, Construct, Renamed, Struct
 from msgspec.structs import replace
 
 from ...errors import SpecError
-from .fields import Enumeration, Field, WireNumber, innermost, wire_number
+from .fields import Enumeration, Field, Flags, WireNumber, innermost, wire_number
 from .pattern import IdPattern, as_pattern
 from .place import SourceLine
 
@@ -84,6 +84,15 @@ def enumeration_of(field: Construct) -> Enumeration | None:
         if not hasattr(field, "subcon"):
             return None
         field = field.subcon
+
+
+def flags_of(field: Construct) -> Flags | None:
+    """Return the flags among a field's adapters."""
+    while not isinstance(field, Flags):
+        if not hasattr(field, "subcon"):
+            return None
+        field = field.subcon
+    return field
 
 
 def heads_of(struct: Struct | None, offset: int, place: SourceLine, what: str) -> tuple[Head, ...]:

@@ -33,7 +33,7 @@ from ...frames import FD, key_of
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
-from .head import Head
+from .head import Head, flags_of
 from .pattern import IdPattern, describe_values
 
 if TYPE_CHECKING:
@@ -228,6 +228,10 @@ class PacketStruct(Construct):
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         message = self.message
         raw = is_raw(context)
+        for head in message.heads_written:
+            flags = flags_of(head.field)
+            if flags is not None and head.name in obj:  # what is present by its bits reads the number
+                obj = {**obj, head.name: flags.to_raw(obj[head.name], f"{path} -> {head.name}")}
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
         )
@@ -239,7 +243,7 @@ class PacketStruct(Construct):
             }
         )
         inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
-        head = b"".join(
+        written = b"".join(
             self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}")
             for h in message.heads_written
             if h not in message.overlaid
@@ -251,12 +255,12 @@ class PacketStruct(Construct):
         body = io.BytesIO()
         message.payload._build(Container(values), body, inner, path)
         if message.framing is not None:
-            packet = self.framed(message.framing, head, body.getvalue(), message.question(obj))
+            packet = self.framed(message.framing, written, body.getvalue(), message.question(obj))
             if check is not None:
-                packet = self._checked(check, message.framing, packet, head, body.getvalue(), obj)
+                packet = self._checked(check, message.framing, packet, written, body.getvalue(), obj)
             stream.write(packet)
             return obj
-        data = head + body.getvalue()
+        data = written + body.getvalue()
         captures = _captured(message.identifier, obj, raw, path)
         identifier = message.identifier.number(captures)
         if message.identifier.match(identifier) is None:

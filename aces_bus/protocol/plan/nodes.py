@@ -856,7 +856,8 @@ class ByBits(Opaque, frozen=True):
 
     @property
     def may_be_none(self) -> bool:  # type: ignore[override]
-        return bool(self.selector)
+        scale = self.known.scale
+        return bool(self.selector) or self.known.may_be_none or (scale is not None and bool(scale.unknown))
 
     @property
     def place_text(self) -> str:

@@ -162,6 +162,8 @@ class Rmdx(SingleMotor):
             case "RunTime":
                 before, self._ran = self._ran, record.time
                 if record.time < before:
+                    if self.is_on:  # a set-point that came behind the reset has closed a loop again
+                        self.switch_off()
                     self.rebooted(f"it has run for {record.time / 1000:g} s")
             case _:
                 pass

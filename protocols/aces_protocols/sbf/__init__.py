@@ -1,0 +1,1 @@
+"""SBF, the binary protocol of Septentrio receivers."""

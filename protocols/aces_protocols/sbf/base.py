@@ -1,0 +1,106 @@
+"""SBF: the protocol, its blocks, and the quantities that several blocks have."""
+
+from __future__ import annotations
+
+from construct import (
+    Byte,
+    Construct,
+    Default,
+    Float32l,
+    Float64l,
+    GreedyBytes,
+    Int16ul,
+    Int32ul,
+    Struct,
+    this,
+)
+
+from aces_bus.protocol import BitLayout, Crc, Enumeration, IdField, Protocol, Quantity, bits
+
+GUIDE = "Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4"
+
+sbf = Protocol(
+    "sbf",
+    link="serial",
+    baud=115_200,
+    doc="Septentrio receivers: position, velocity, attitude, measurements, state.",
+    source=f"{GUIDE}; mosaic-H Reference Guide 4.10.1; septentrio_gnss_driver",
+)
+
+#: Measurements of 80 satellites with five signals more fit (MeasEpoch: 20 + 5 × 12 each); the length would allow 65,532.
+MAX_SIZE = 8192
+
+_packet = sbf.framing(
+    sync=b"$@",
+    header=Struct("crc" / Int16ul, "block" / Int16ul, "length" / Int16ul),
+    size=this.length + 0,
+    max_size=MAX_SIZE,
+    gap=0.5,
+    check=Crc("CRC16-XMODEM", field="crc", over=slice(4, None)),
+)
+
+#: What stands for "do not use" in floats (§4.1.7).
+DO_NOT_USE = -2e10
+
+TIME = (
+    "tow" / Quantity(Int32ul, unit="ms", unknown=[0xFFFF_FFFF], doc="Time of the GPS week."),
+    "week" / Quantity(Int16ul, unknown=[0xFFFF], doc="GPS week, continuous."),
+)
+
+
+def sbf_block(
+    name: str,
+    number: int,
+    *fields: Construct,
+    pad: int | None = 0,
+    revisions: range = range(8),
+    **more: object,
+) -> None:
+    """Declare a block of these revisions. `pad`: zeros that make it a multiple of 4 bytes; receivers of a later revision put
+    fields there and behind. None: nothing follows its last field."""
+    more.setdefault("source", GUIDE)
+    tail = () if pad is None else ("padding" / Default(GreedyBytes, bytes(pad)),)
+    _packet(
+        name,
+        direction="from device",
+        match={"block": IdField("revision", revisions) << 13 | number},
+        payload=Struct(*TIME, *fields, *tail),
+        **more,
+    )
+
+
+def single(unit: str, doc: str = "") -> Quantity:
+    """Return a single-precision number with its do-not-use value."""
+    return Quantity(Float32l, unit=unit, unknown=[DO_NOT_USE], doc=doc)
+
+
+def double(unit: str, doc: str = "") -> Quantity:
+    """Return a double-precision number with its do-not-use value."""
+    return Quantity(Float64l, unit=unit, unknown=[DO_NOT_USE], doc=doc)
+
+
+def u2(unit: str, scale: float) -> Quantity:
+    """Return a scaled 16-bit number with its do-not-use value."""
+    return Quantity(Int16ul, unit=unit, scale=scale, unknown=[0xFFFF])
+
+
+#: The kinds of position (§4.2, PVT blocks: Mode).
+SOLUTIONS = {
+    "none": 0, "stand_alone": 1, "differential": 2, "fixed_location": 3, "rtk_fixed": 4, "rtk_float": 5, "sbas": 6,
+    "moving_base_fixed": 7, "moving_base_float": 8, "ppp": 10,
+}  # fmt: skip
+ERRORS = {
+    "none": 0, "few_measurements": 1, "few_ephemerides": 2, "dop": 3, "residuals": 4, "no_convergence": 5, "outliers": 6,
+    "export": 7, "few_corrections": 8, "no_base": 9, "not_fixed": 10, "no_datum": 17,
+}  # fmt: skip
+#: What a position needs: how it was found, and why it was not.
+MODE = (
+    "mode"
+    / BitLayout(
+        1,
+        "solution" / Enumeration(bits(4), SOLUTIONS),
+        "auto_base" / bits(1, at=6),
+        "is_2d" / bits(1, at=7),
+    ),
+    "error" / Enumeration(Byte, ERRORS),
+)

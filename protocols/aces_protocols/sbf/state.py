@@ -1,0 +1,220 @@
+"""Measurements of signals, state of channels and of the receiver, time."""
+
+from __future__ import annotations
+
+from construct import (
+    Array,
+    Byte,
+    Const,
+    Int8sl,
+    Int16ul,
+    Int24sl,
+    Int32sl,
+    Int32ul,
+    Rebuild,
+    Struct,
+    len_,
+    this,
+)
+
+from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, Split, bits
+
+from .base import sbf_block
+from .examples import EXAMPLES
+
+_signal = "signal" / BitLayout(1, "number" / bits(5), "antenna" / bits(3))
+_cn0 = "cn0" / Quantity(
+    Byte, unit="dBHz", scale=0.25, unknown=[255], doc="But for signals 1 and 2 (P code) 10 dBHz more."
+)
+_info = "info" / BitLayout(1, "smoothed" / bits(1), "half_cycle" / bits(1, at=2), "more" / bits(5, at=3))
+_carrier = Quantity(Int24sl, scale=0.001, unknown=[-0x80_0000], doc="Cycles, relative to the pseudorange.")
+
+_others = Struct(
+    _signal,
+    "lock_time" / Quantity(Byte, unit="s", unknown=[255]),
+    _cn0,
+    "offsets"
+    / BitLayout(
+        9,
+        "code" / Quantity(Split((24, 16), (0, 3), signed=True), unit="m", scale=0.001, unknown=[-4 << 16]),
+        "doppler"
+        / Quantity(Split((56, 16), (3, 5), signed=True), unit="Hz", scale=1e-4, unknown=[-16 << 16]),
+        "carrier"
+        / Quantity(Split((40, 16), (8, 8), signed=True), unit="1", scale=0.001, unknown=[-128 << 16]),
+        "smoothed" / bits(1, at=16),
+        "half_cycle" / bits(1, at=18),
+        "more" / bits(5, at=19),
+    ),
+)
+_first = Struct(
+    "channel" / Byte,
+    _signal,
+    "satellite" / Byte,
+    "code" / BitLayout(5, "range" / Quantity(Split((8, 32), (0, 4)), unit="m", scale=0.001, unknown=[0])),
+    "doppler" / Quantity(Int32sl, unit="Hz", scale=1e-4, unknown=[-0x8000_0000]),
+    "carrier" / _carrier,
+    _cn0,
+    "lock_time" / Quantity(Int16ul, unit="s", unknown=[0xFFFF]),
+    _info,
+    "count" / Rebuild(Byte, len_(this.others)),
+    "others" / Array(this.count, _others),
+)
+sbf_block(
+    "MeasEpoch",
+    4027,
+    "count" / Rebuild(Byte, len_(this.satellites)),
+    Const(b"\x14\x0c"),
+    "common"
+    / Flags(
+        Byte,
+        multipath_mitigation=0,
+        smoothed=1,
+        aligned=2,
+        clock_steering=3,
+        high_dynamics=5,
+        e6b=6,
+        scrambled=7,
+    ),
+    "clock_jumps" / Quantity(Byte, unit="ms"),
+    "reserved" / Reserved(1),
+    "satellites" / Array(this.count, _first),
+    pad=None,
+    doc="Measurements of all signals.",
+    examples=EXAMPLES["MeasEpoch"],
+)
+sbf_block(
+    "EndOfMeas",
+    5922,
+    pad=2,
+    doc="All of this epoch's measurements were sent.",
+    examples=EXAMPLES["EndOfMeas"],
+)
+
+_tracking = Struct(
+    "antenna" / Byte, "reserved" / Reserved(1), "tracking" / Int16ul, "pvt" / Int16ul, "pvt_info" / Int16ul
+)
+_channel = Struct(
+    "satellite" / Byte,
+    "frequency" / Byte,
+    "reserved1" / Reserved(2),
+    "sky"
+    / BitLayout(
+        2,
+        "azimuth" / Quantity(bits(9), unit="°", unknown=[511]),
+        "course" / Enumeration(bits(2, at=14), setting=0, rising=1, unknown=3),
+    ),
+    "health" / Int16ul,
+    "elevation" / Quantity(Int8sl, unit="°", unknown=[-128]),
+    "count" / Rebuild(Byte, len_(this.antennas)),
+    "channel" / Byte,
+    "reserved2" / Reserved(1),
+    "antennas" / Array(this.count, _tracking),
+)
+sbf_block(
+    "ChannelStatus",
+    4013,
+    "count" / Rebuild(Byte, len_(this.channels)),
+    Const(b"\x0c\x08"),
+    "reserved" / Reserved(3),
+    "channels" / Array(this.count, _channel),
+    pad=None,
+    doc="State of the tracking.",
+    examples=EXAMPLES["ChannelStatus"],
+)
+
+_QUALITY = {
+    "overall": 0,
+    "signals_main": 1,
+    "signals_aux1": 2,
+    "power_main": 11,
+    "power_aux1": 12,
+    "cpu": 21,
+    "ocxo": 25,
+    "base": 30,
+    "rtk_post_processing": 31,
+}
+_indicator = BitLayout(
+    2,
+    "kind" / Enumeration(bits(8), _QUALITY),
+    "value" / Quantity(bits(4), unknown=[15], doc="0 poor, 10 best."),
+)
+sbf_block(
+    "QualityInd",
+    4082,
+    "count" / Rebuild(Byte, len_(this.indicators)),
+    "reserved" / Reserved(1),
+    "indicators" / Array(this.count, _indicator),
+    pad=0,
+    doc="Quality of the receiver's main functions.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["QualityInd"],
+)
+
+_STATE = {
+    "active_antenna": 1,
+    "external_frequency": 2,
+    "external_time": 3,
+    "week_set": 4,
+    "time_of_week_set": 5,
+    "fine_time": 6,
+    "internal_disk_active": 7,
+    "internal_disk_full": 8,
+    "internal_disk_mounted": 9,
+    "internal_antenna": 10,
+    "reference_locked": 11,
+    "external_disk_active": 13,
+    "external_disk_full": 14,
+    "external_disk_mounted": 15,
+    "pps_in_calibrated": 16,
+    "corrections_in": 17,
+    "internet": 18,
+}
+_FAULTS = {
+    "software": 3,
+    "watchdog": 4,
+    "antenna": 5,
+    "congestion": 6,
+    "missed_event": 8,
+    "cpu_overload": 9,
+    "invalid_config": 10,
+    "out_of_geofence": 11,
+}
+_front_end = Struct(
+    "front_end" / BitLayout(1, "code" / bits(5), "antenna" / bits(3)),
+    "gain" / Quantity(Int8sl, unit="dB", unknown=[-128]),
+    "variance" / Quantity(Byte, unknown=[0]),
+    "blanking" / Quantity(Byte, unit="%"),
+)
+sbf_block(
+    "ReceiverStatus",
+    4014,
+    "cpu_load" / Quantity(Byte, unit="%", unknown=[255]),
+    "external_error" / Flags(Byte, signal_in_space=0, corrections=1, external_sensor=2, setup=3),
+    "uptime" / Quantity(Int32ul, unit="s"),
+    "state" / Flags(Int32ul, _STATE),
+    "error" / Flags(Int32ul, _FAULTS),
+    "count" / Rebuild(Byte, len_(this.front_ends)),
+    Const(b"\x04"),
+    "commands" / Byte,
+    "temperature" / Quantity(Byte, unit="°C", offset=-100, unknown=[0]),
+    "front_ends" / Array(this.count, _front_end),
+    pad=None,
+    doc="State of the receiver.",
+    examples=EXAMPLES["ReceiverStatus"],
+)
+
+sbf_block(
+    "ReceiverTime",
+    5914,
+    *(name / Quantity(Int8sl, unknown=[-128]) for name in ("year", "month", "day")),
+    *(
+        name / Quantity(Int8sl, unit=unit, unknown=[-128])
+        for name, unit in (("hour", "h"), ("minute", "min"), ("second", "s"))
+    ),
+    "leap_seconds" / Quantity(Int8sl, unit="s", unknown=[-128]),
+    "sync" / Flags(Byte, week=0, time_of_week=1, fine_time=2),
+    pad=2,
+    doc="Time of the receiver, in UTC.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["ReceiverTime"],
+)
