@@ -70,12 +70,12 @@ def test_several_recordings_are_one_bus(aces: Aces, drive: Path) -> None:
 def test_what_is_known_is_said_and_no_draft_is_written(
     aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the command that decodes it."""
+    """With the command that decodes it, and exit 1: what was asked for is not there."""
     monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["hubo"])
     path, draft = tmp_path / "walk.log", tmp_path / "draft.py"
     path.write_text("".join(f"({number}.0) can0 063#{number:02X}000000FCFFFFFF\n" for number in range(20)))
     result = aces("spec", "guess", path, "-o", draft)
-    assert result.status == 0
+    assert result.status == 1
     assert "100% is hubo" in result.out
     assert f"  aces decode {path} -p hubo" in result.out
     assert result.messages[0].startswith("no draft was written: the recording is hubo")
@@ -88,7 +88,7 @@ def test_what_is_no_recording_is_one_line(aces: Aces, tmp_path: Path, text: str)
     path, draft = tmp_path / "empty.log", tmp_path / "draft.py"
     path.write_text(text)
     result = aces("spec", "guess", path, "-o", draft, "--no-known")
-    assert result.status in (0, 2)
+    assert result.status in (1, 2)
     assert len(result.messages) == 1
     assert not draft.exists()
 
@@ -147,3 +147,27 @@ def test_words_of_a_reference_need_one(aces: Aces, drive: Path, more: list[str])
     """Else they would be ignored."""
     result = aces("spec", "guess", drive, *more)
     assert (result.status, "--reference" in result.err) == (2, True)
+
+
+def test_a_bus_of_many_messages_is_a_summary(aces: Aces, tmp_path: Path) -> None:
+    """Of forty lines at most; the draft has all of it."""
+    path, draft = tmp_path / "many.log", tmp_path / "draft.py"
+    lines = [
+        f"({n / 100:.6f}) can0 {0x100 + 7 * key:03X}#{'00' * (key % 7)}{n * (key + 3) % 256:02X}"
+        for n in range(20)
+        for key in range(60)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    result = aces("spec", "guess", path, "--no-known", "-o", draft)
+    assert result.status == 0
+    assert len(result.out.splitlines()) <= 40
+    assert "fields and evidence: in the draft (-o draft.py); 23 more" in result.out
+    assert draft.read_text().count(".message(") == 60
+
+
+@pytest.mark.parametrize("stem", ["bits", "class", "this"])
+def test_a_draft_of_any_name_loads(aces: Aces, drive: Path, tmp_path: Path, stem: str) -> None:
+    """Its protocol hides nothing that it needs."""
+    draft = tmp_path / f"{stem}.py"
+    assert aces("spec", "guess", drive, "--no-known", "-o", draft).status == 0
+    assert aces("decode", drive, "-p", draft).status == 0

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
@@ -43,6 +44,7 @@ _OURS = frozenset(
 )
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
 _WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
+NOTHING: Mapping[str, str] = MappingProxyType({})
 #: Names that `field_name` makes of kinds and places.
 _PLACE = re.compile(r"[a-z]+(_\d+){1,3}(_at_\d+)?|rest")
 #: Signs of evidence, in ASCII.
@@ -51,16 +53,22 @@ _ASCII = str.maketrans({"…": "..", "±": "+-", "−": "-"})
 _NO_CODE = re.compile(r"""#.*|b?'(?:[^'\\\n]|\\.)*'|b?"(?:[^"\\\n]|\\.)*\"""")
 
 
-def draft_source(guess: TrafficGuess, name: str = "draft", files: Iterable[str] = ()) -> str:
+def draft_source(
+    guess: TrafficGuess,
+    name: str = "draft",
+    files: Iterable[str] = (),
+    as_bytes: Mapping[str, str] = NOTHING,
+) -> str:
     """Return the module that declares what was guessed as the protocol `name`; `files` are named as where it comes from.
 
+    Messages named in `as_bytes` are declared without their fields, for the reason that is given.
     Raises nothing for what is in the guess; a guess without messages becomes a protocol without any.
     """
     own = own_name(name)
     body: list[str] = []
     nodes: dict[str, str] = {}
     for message in guess.messages:
-        body += ["", *_message(message, own, nodes)]
+        body += ["", *_message(message, own, nodes, as_bytes.get(message.name))]
     head = [*_about(guess, files), "", *imports_of([*body, *nodes.values()])]
     return "\n".join([*head, f'{own} = Protocol("{own}", link="can")', *nodes.values(), *body, ""])
 
@@ -106,6 +114,16 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
     if trailing:
         lines.append('    "rest" / GreedyBytes,')
     return [*lines, ")"]
+
+
+def data_lines(why: str) -> list[str]:
+    """Return a payload that is bytes, and why."""
+    return [
+        "Struct(",
+        *wrapped(plain(f"The fields that were guessed are left out: {why}"), "    # ", "    # "),
+        '    "data" / GreedyBytes,',
+        ")",
+    ]
 
 
 def field_name(field: FieldGuess) -> str:
@@ -198,7 +216,7 @@ def wrapped(text: str, first: str, others: str) -> list[str]:
 # ---------------------------------------------------------------------- messages
 
 
-def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator[str]:
+def _message(message: MessageGuess, own: str, nodes: dict[str, str], why_bytes: str | None) -> Iterator[str]:
     key = message.keys[0]
     said = f"{message.shown}: {message.frames:,} frames"
     if message.timing is not None and message.frames > 2:
@@ -233,12 +251,19 @@ def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator
     elif not key & REMOTE:
         yield f"    length={message.length if message.length is not None else _values(message.lengths)},"
     lines = payload_lines(fields, message.size, message.length is None)
+    if why_bytes is not None:
+        lines = data_lines(why_bytes)
     if lines:
         lines[-1] += ","
         yield f"    payload={lines[0]}"
         yield from (f"    {line}" for line in lines[1:])
     check = next((field for field in fields if field.check is not None), None)
-    if check is not None and check.check is not None and not any(field.kind == "text" for field in fields):
+    if (
+        why_bytes is None
+        and check is not None
+        and check.check is not None
+        and not any(field.kind == "text" for field in fields)
+    ):
         yield f"    check={check.check.declare(field_name(check))},"
     yield ")"
 

@@ -7,18 +7,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from .checks import check_source
-from .draft import TITLE, imports_of, own_name, payload_lines, plain, wrapped
+from .draft import NOTHING, TITLE, data_lines, imports_of, own_name, payload_lines, plain, wrapped
 from .fields import FieldGuess
 from .framings import FramingGuess, framing_check
 from .streams import PacketGuess, StreamGuess, body_end
 
 
-def stream_source(guess: StreamGuess, name: str = "draft", files: Iterable[str] = ()) -> str:
-    """Return the module that declares what was guessed of a stream as the protocol `name`."""
+def stream_source(
+    guess: StreamGuess, name: str = "draft", files: Iterable[str] = (), as_bytes: Mapping[str, str] = NOTHING
+) -> str:
+    """Return the module that declares what was guessed of a stream as the protocol `name`; messages of `as_bytes` without
+    their fields, for the reason that is given.
+    """
     said = [f"Guessed from {guess.kept:,} bytes" + "".join(f", {file}" for file in files) + "."]
     said.append(f"{guess.decoded:,} of them are in packets; the rest is unknown.")
 
@@ -33,7 +37,7 @@ def stream_source(guess: StreamGuess, name: str = "draft", files: Iterable[str] 
             )
         for packet in guess.packets:
             if packet.framing == number:
-                body += ["", *_message(packet, framing, variable)]
+                body += ["", *_message(packet, framing, variable, as_bytes)]
     comments = [line for text in said for line in _comment(text)]
     return "\n".join(
         [TITLE, "", *comments, "", *imports_of(body), f'{own} = Protocol("{own}", link="serial")', *body, ""]
@@ -83,7 +87,9 @@ def _framing(framing: FramingGuess, own: str, variable: str) -> Iterator[str]:
     yield ")"
 
 
-def _message(packet: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
+def _message(
+    packet: PacketGuess, framing: FramingGuess, variable: str, as_bytes: Mapping[str, str]
+) -> Iterator[str]:
     sizes = (
         f"{packet.sizes[0]} bytes"
         if len(packet.sizes) == 1
@@ -94,12 +100,15 @@ def _message(packet: PacketGuess, framing: FramingGuess, variable: str) -> Itera
         yield from _line(packet, framing, variable)
         return
     code = "" if packet.opcode is None else f"_{packet.opcode.hex().upper()}"
+    name = f"{variable.title()}{code}"
     yield f"{variable}("
-    yield f'    "{variable.title()}{code}",'
+    yield f'    "{name}",'
     if packet.opcode is not None:
         yield f'    match={{"opcode": 0x{packet.opcode.hex().upper()}}},'
     size = max(0, packet.size - framing.head_end - body_end(framing))
     lines = payload_lines(_without_checks(packet.fields), size, len(packet.sizes) > 1)
+    if name in as_bytes:
+        lines = data_lines(as_bytes[name])
     if lines:
         yield f"    payload={lines[0]}"
         yield from (f"    {line}" for line in lines[1:-1])

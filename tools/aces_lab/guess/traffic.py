@@ -218,6 +218,11 @@ class Traffic:
             self._tables.append(table.take(rows))
             self._kept += len(rows)
 
+    @property
+    def first_frames(self) -> FrameTable:
+        """The first table of the frames that were kept; all of them once they were guessed."""
+        return self._tables[0] if self._tables else FrameTable.empty()
+
     def guess(
         self, *, known: bool = True, quantity: MeasuredQuantity | None = None, latest_s: float = LATEST
     ) -> TrafficGuess:

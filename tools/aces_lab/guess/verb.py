@@ -26,7 +26,8 @@ dates in ISO 8601 (UTC where they name no zone). Where they are not of the
 recording's time, both are taken to begin together; --delay says how far off that
 may be.
 
-exit status: 0 guessed, or known already; 1 no field follows the reference; 2 a wrong call, or a recording that is
+exit status: 0 guessed, or known already; 1 no field follows the reference, or
+-o and no draft was written (a draft is loaded and checked before); 2 a wrong call, or a recording that is
 empty or cannot be read (what a damaged one holds is guessed nevertheless)
 """
 
@@ -35,9 +36,11 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
+from aces_bus import FrameTable
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
 from aces_bus.protocol.fitting import FittingProtocol
@@ -66,13 +69,14 @@ from . import (
     draft_source,
     stream_source,
 )
-from .draft import integer_text, place_text, reference_said
+from .checked import checked_draft
+from .draft import integer_text, own_name, place_text, reference_said
 from .reference import LATEST
 from .reference_file import read_quantity
 from .traffic import ReferenceGuesses, runs_text
 
-#: Pairs and known protocols that are listed.
-LISTED = 20
+#: Pairs and known protocols that are listed, and lines on the terminal: a draft has all of it.
+LISTED, LINES = 8, 40
 
 SUMMARY = "guess the spec of a recording that no protocol reads"
 
@@ -144,8 +148,7 @@ def run(arguments: argparse.Namespace) -> int:
     if stream.bytes and traffic.frames:
         raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
     if stream.bytes:
-        _of_stream(stream.guess(known=not arguments.no_known), arguments)
-        return status
+        return _of_stream(stream.guess(known=not arguments.no_known), arguments) or status
     if not traffic.frames:
         raise CaptureError(
             f"{', '.join(map(_title, arguments.files))}: nothing to guess: no frames and no bytes"
@@ -153,21 +156,40 @@ def run(arguments: argparse.Namespace) -> int:
     guess = traffic.guess(
         known=not arguments.no_known and quantity is None, quantity=quantity, latest_s=latest_s
     )
+    written = False
     if arguments.output is not None and guess.messages:
-        stem = Path(arguments.output).stem
-        write_text(
-            arguments.output,
-            draft_source(guess, stem, [Path(file).name for file in arguments.files]),
-            is_quiet=True,
-        )
+        made = partial(draft_source, guess, Path(arguments.output).stem, _names(arguments))
+        written = _write(arguments.output, made, guess.messages, traffic.first_frames)
     if arguments.json:
-        print_json({**guess.as_dict(), "output": arguments.output if guess.messages else None})
+        print_json({**guess.as_dict(), "output": arguments.output if written else None})
     else:
-        _show(guess, arguments)
+        _show(guess, arguments, written)
     if arguments.output is not None and not guess.messages:
         said = f"is {_best(guess.known)}" if guess.known else "has nothing to guess"
         say(f"no draft was written: the recording {said}")
-    return status or int(guess.reference is not None and guess.reference.found is None)
+    is_lost = guess.reference is not None and guess.reference.found is None
+    return status or int(is_lost or (arguments.output is not None and not written))
+
+
+def _names(arguments: argparse.Namespace) -> list[str]:
+    return [Path(file).name for file in arguments.files]
+
+
+def _write(
+    path: str,
+    source_of: Callable[..., str],
+    messages: Sequence[MessageGuess] = (),
+    frames: FrameTable | None = None,
+) -> bool:
+    """Write a draft that was tried; return whether there is one."""
+    draft = checked_draft(lambda some: source_of(as_bytes=some), own_name(Path(path).stem), messages, frames)
+    if draft.wrong:
+        say(f"no draft was written: it has a fault that is ours, {draft.wrong}")
+        return False
+    write_text(path, draft.source, is_quiet=True)
+    for name, why in draft.as_bytes.items():
+        say(f"{name} is drafted as bytes: {why}")
+    return True
 
 
 def _best(known: Sequence[FittingProtocol]) -> str:
@@ -178,23 +200,23 @@ def _best(known: Sequence[FittingProtocol]) -> str:
 # ---------------------------------------------------------------------- streams
 
 
-def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
+def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> int:
+    written = False
     if arguments.output is not None and guess.framings:
-        source = stream_source(
-            guess, Path(arguments.output).stem, [Path(file).name for file in arguments.files]
-        )
-        write_text(arguments.output, source, is_quiet=True)
+        made = partial(stream_source, guess, Path(arguments.output).stem, _names(arguments))
+        written = _write(arguments.output, made)
     if arguments.json:
-        print_json({**guess.as_dict(), "output": arguments.output if guess.framings else None})
+        print_json({**guess.as_dict(), "output": arguments.output if written else None})
     else:
-        _show_stream(guess, arguments)
+        _show_stream(guess, arguments, written)
     if arguments.output is not None and not guess.framings:
         said = f"is {_best(guess.known)}" if guess.known else "has no framing that it shows plainly"
         say(f"no draft was written: the recording {said}")
+    return int(arguments.output is not None and not written)
 
 
-def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
-    page = Page(arguments.color)
+def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: bool) -> None:
+    page = _Summary(arguments.color)
     title = ", ".join(map(_title, arguments.files))
     files = " ".join("-" if file == "-" else shlex.quote(file) for file in arguments.files)
     packets = "" if guess.known else f", {guess.decoded:,} in packets"
@@ -208,25 +230,57 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
     elif not guess.framings:
         page.lines(["no sync bytes, length, line end or check that chance could not give as well"])
     for number, framing in enumerate(guess.framings):
-        page.lines([""])
         head = f"framing {number}: {counted(framing.packets, 'packet')}, {framing.share:.1%} of the bytes"
-        page.lines([page.paint("message", f"{head} ({framing.confidence:.2f})")])
+        page.section(page.paint("message", f"{head} ({framing.confidence:.2f})"))
         page.lines(f"  {printable(line)}" for line in framing.evidence)
         for packet in guess.packets:
             if packet.framing != number:
                 continue
             code = "" if packet.opcode is None else f" {_code(packet.opcode, framing.kind == 'lines')}"
             sizes = packet.sizes
-            page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}")])
+            page.section(page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}"))
             if packet.fields:
                 page.table(
                     ("field", "bits", "kind", "sure", "evidence"), [_cells(field) for field in packet.fields]
                 )
-    if guess.framings and arguments.output is None:
-        page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
-    elif guess.framings:
+    page.close(
+        f"a draft to edit: aces spec guess {printable(files)} -o draft.py"
+        if guess.framings and not arguments.output
+        else ""
+    )
+    if written:
         quoted = shlex.quote(arguments.output)
         say_note(f"{arguments.output}: written; next: aces decode {files} -p {quoted}")
+
+
+class _Summary(Page):
+    """A page of `LINES` lines at most: with too many the details of all sections are left out, then the last sections."""
+
+    def __init__(self, colour: bool | None) -> None:
+        super().__init__(colour)
+        #: The first line of each section and its details; the first section has no such line.
+        self._sections: list[tuple[str, list[str]]] = [("", [])]
+
+    def lines(self, lines: Iterable[str]) -> None:
+        self._sections[-1][1].extend(lines)
+
+    def section(self, head: str) -> None:
+        """Begin a section: further lines are its details."""
+        self._sections.append((head, []))
+
+    def close(self, last: str) -> None:
+        """Print it all, or what there is room for, and a last line."""
+        (_, first), *sections = self._sections
+        whole = [*first, *(line for head, details in sections for line in ("", head, *details))]
+        if len(whole) + 2 <= LINES:
+            super().lines([*whole, *(["", last] if last else [])])
+            return
+        room = LINES - min(len(first), LINES // 2) - 2
+        shown = [*first[: LINES // 2], *(head for head, _ in sections[:room])]
+        left = f"; {len(sections) - room} more" if len(sections) > room else ""
+        super().lines(
+            [*shown, f"fields and evidence: in the draft (-o draft.py){left}", *([last] if last else [])]
+        )
 
 
 def _title(file: str) -> str:
@@ -240,16 +294,11 @@ def _code(opcode: bytes, is_text: bool) -> str:
 # ---------------------------------------------------------------------- text
 
 
-def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
-    page = Page(arguments.color)
+def _show(guess: TrafficGuess, arguments: argparse.Namespace, written: bool) -> None:
+    page = _Summary(arguments.color)
     title = ", ".join(map(_title, arguments.files))
-    page.lines(
-        [
-            printable(
-                f"{title}: {counted(guess.frames, 'frame')}, {counted(len(guess.messages), 'message')} guessed"
-            )
-        ]
-    )
+    found = f"{counted(guess.frames, 'frame')}, {counted(len(guess.messages), 'message')} guessed"
+    page.lines([printable(f"{title}: {found}")])
     if guess.kept < guess.frames - guess.errors:
         page.lines([f"only the first {guess.kept:,} frames were looked at"])
     if guess.beyond:
@@ -267,14 +316,12 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     if guess.reference is not None:
         _show_reference(guess.reference, page)
     for protocol in guess.protocols:
-        page.lines([""])
         page.beside(protocol.name, [f"{protocol.evidence} ({protocol.confidence:.2f})"], "message")
     for message in guess.messages:
-        page.lines([""])
-        page.lines([page.paint("message", printable(_headline(message)))])
+        page.section(page.paint("message", printable(_headline(message))))
         page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(field) for field in message.fields])
     if guess.pairs:
-        page.lines(["", "requests and replies"])
+        page.section(counted(len(guess.pairs), "request") + " with replies")
         page.table(
             ("request", "reply", "sure", "evidence"),
             [
@@ -282,9 +329,12 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
                 for pair in guess.pairs[:LISTED]
             ],
         )
-    if guess.messages and arguments.output is None:
-        page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
-    elif guess.messages:
+    page.close(
+        f"a draft to edit: aces spec guess {printable(files)} -o draft.py"
+        if guess.messages and not arguments.output
+        else ""
+    )
+    if written:
         quoted = shlex.quote(arguments.output)
         say_note(
             f"{arguments.output}: written; next: aces decode {files} -p {quoted}; aces spec check {quoted} --against {files}"
