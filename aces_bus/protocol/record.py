@@ -190,7 +190,7 @@ def _walker(way: Sequence[WayStep]) -> Callable[[Any], Any]:
     if EACH in way:
         place = way.index(EACH)
         outer, inner = _walker(way[:place]), _walker(way[place + 1 :])
-        return lambda record: tuple(map(inner, outer(record) or ()))
+        return lambda record: None if (items := outer(record)) is None else tuple(map(inner, items))
 
     def get(value: Any) -> Any:
         for step in way:

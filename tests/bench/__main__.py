@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ARGUMENTS: Arguments = (
     argument(
         "subject",
-        choices=["live", "columns", "transports", "text", "bus", "control", "robot"],
+        choices=["live", "columns", "transports", "text", "bus", "control", "robot", "bits"],
         help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside "
         "cantools, python-can, polars, asammdf and C; transports: of these, packets in several frames, beside loops in "
         "Python and python-can-isotp; text: whole recordings to lines, beside cantools decode; "

@@ -112,7 +112,7 @@ class _Kind:
         variant = decider.variant
         self.message = message
         self.plan = message.plan
-        self.decoder = RowDecoder(self.plan, raw=raw)
+        self.decoder = RowDecoder(self.plan, raw=raw, message=message)
         #: Asked of one packet after the other, where rows will not do.
         self.decode: Callable[..., Any] | None = (
             decider.decide([message]) if self.decoder.reason or message.counters else None

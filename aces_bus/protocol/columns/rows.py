@@ -15,13 +15,16 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
+from msgspec.structs import replace
 
 from ..declare.bits import runs_of, whole_bits
 from ..declare.fields import text_until
 from ..declare.message import Message
+from ..declare.shapes import Shapes
 from ..plan import nodes as p
 from .checks import can_compute, check_holds
 from .lists import ListColumns
+from .shaped import ShapedRows, WideRows
 from .table import Array, ByteColumn, Column, ColumnKind, cells_of, dtype_of, kinds_of
 
 T = TypeVar("T")
@@ -105,9 +108,14 @@ class RowDecoder:
         #: Where the last field of fixed size ends; rows must reach there. Fields that are there only for some values of
         #: a selector may stand behind the end of any packet.
         self.extent = extent_of(plan)
+        #: Of fields that are there by bits: what makes rows in which each has a fixed place, and what decodes these.
+        self._shaped: ShapedRows | None = None
+        self._wide: RowDecoder | None = None
         self.reason = self._why_not()
+        #: The field of the message that a column is of, or in.
+        self._fields = {leaf.path: leaf.field.name for leaf in plan.columns}
         self._columns: dict[str, Callable[[ColumnKind, PacketRows], Column]] = {}
-        if self.reason:
+        if self.reason or self._wide is not None:
             return
         lists: dict[str, ListColumns] = {}
         for leaf in plan.columns:
@@ -123,7 +131,10 @@ class RowDecoder:
 
     def _why_not(self) -> str:
         plan = self.plan
-        if plan.opaque:
+        if plan.all_fields is not None and self.message is not None:
+            if reason := self._shape(self.message, plan.all_fields):
+                return reason
+        elif plan.opaque:
             return plan.opaque
         if plan.split is not None:
             return "delimited text"
@@ -135,6 +146,21 @@ class RowDecoder:
             if not can_compute(self.message.check):
                 return f"the check {self.message.check.describe}"
         return ""
+
+    def _shape(self, message: Message, plan: p.MessagePlan) -> str:
+        """Make the decoder of the wide rows; return why there is none."""
+        self._shaped = ShapedRows(Shapes(message), plan)
+        constants = tuple(constant for constant in plan.constants if constant not in self.plan.constants)
+        inside = replace(
+            plan, constants=constants, one_of=(), sync=0, lengths=None, least=0, is_checked=False
+        )
+        self._wide = RowDecoder(inside, raw=self.raw)
+        return self._shaped.reason or self._wide.reason
+
+    def _wide_rows(self, rows: PacketRows) -> WideRows:
+        shaped = self._shaped
+        assert shaped is not None
+        return rows.kept("wide", lambda: shaped.of(rows))
 
     # ------------------------------------------------------------------ which rows
 
@@ -148,7 +174,9 @@ class RowDecoder:
             if low < plan.least:
                 tests.append(lengths >= plan.least)
         elif low != high or low not in plan.lengths:
-            tests.append(np.isin(lengths, np.array(plan.lengths)))
+            is_right = np.zeros(high + 1, bool)
+            is_right[[length for length in plan.lengths if length <= high]] = True
+            tests.append(is_right.take(lengths))
         if tests and not tests[0].any():
             return tests[0]
         if plan.lengths_by is not None:
@@ -168,6 +196,10 @@ class RowDecoder:
             tests.append(cell == constant.value)
         for choice in plan.one_of:
             tests.append(among(number_reader(choice.number)(rows), choice.values))
+        if self._wide is not None:
+            wide = self._wide_rows(rows)
+            good = self._wide.accepts(wide.rows)
+            tests += [wide.fits] if good is None else [wide.fits, good]
         for _, node in plan.lists:
             if isinstance(node, p.Repeated):
                 left = lengths.astype(np.int64) - (node.offset + plan.tail)
@@ -189,6 +221,11 @@ class RowDecoder:
 
     def column(self, kind: ColumnKind, rows: PacketRows) -> Column:
         """Return the column of this kind."""
+        if self._wide is not None:
+            wide = self._wide_rows(rows)
+            found = self._wide.column(kind, wide.rows)
+            there = wide.there.get(self._fields[kind.name], True)
+            return found if there is True else _without(found, np.broadcast_to(~np.asarray(there), len(rows)))
         return self._columns[kind.name](kind, rows)
 
     def present(self, when: p.When, rows: PacketRows) -> Array:
@@ -209,13 +246,7 @@ class RowDecoder:
             for when in whens:
                 missing = ~self.present(when, rows)
                 absent = missing if absent is None else absent | missing
-            if absent is not None:
-                if not absent.any():
-                    absent = None
-                else:
-                    found = found.copy()
-                    found[absent] = None if found.dtype == object else 0
-            return Column(kind, found, absent)
+            return _without(Column(kind, found, None), absent)
 
         return column
 
@@ -286,6 +317,21 @@ class RowDecoder:
             return (number >> shift) & mask
 
         return read
+
+
+def _without(column: Column, absent: Array | None) -> Column:
+    """Return a column without the values that are absent."""
+    if absent is None or not absent.any():
+        return column
+    values = column.values
+    if column.absent is not None:
+        absent = absent | column.absent
+    if values.dtype == object:
+        values = values.copy()
+        values[absent] = None
+        return Column(column.kind, values, absent)
+    bits = np.dtype(f"u{values.dtype.itemsize}")  # by bits, as a choice costs ten times as much
+    return Column(column.kind, np.multiply(values.view(bits), ~absent, dtype=bits).view(values.dtype), absent)
 
 
 def _given(

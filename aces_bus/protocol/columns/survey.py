@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...frame_table import Channels, to_ns
-from ..declare.framing import Framing
+from ..declare.framing import FieldSize, Framing
 from ..live.find import PacketHeaders
 from .checks import LENGTH, CheckColumns, reason_of
+from .shaped import FieldPlaces
 from .table import Array, MessageTable, lost_table, object_array, take_rows
 
 
@@ -53,6 +54,11 @@ class Survey(PacketHeaders):
 
     def __init__(self, framing: Framing, extras: Mapping[int, bytes] | None) -> None:
         super().__init__(framing)
+        self._places: FieldPlaces | None = None
+        if isinstance(framing.measure, FieldSize):
+            assert framing.measure.shapes is not None
+            self._places, self._behind = FieldPlaces(framing.measure.shapes), framing.measure.behind
+            self.reach = max(self.reach, self._places.reach)
         self._check = CheckColumns(framing, extras) if framing.check is not None else None
 
     @staticmethod
@@ -60,13 +66,22 @@ class Survey(PacketHeaders):
         """Say why a framing cannot be surveyed; empty when it can."""
         if not framing.sync:
             return "no sync bytes"
-        if framing.affine is None and framing.fixed_size is None:
+        if framing.end or framing.is_silent:
             return "packets do not say their size"
         if framing.affine is not None and framing.affine.length.size > 4:
             return "the length is wider than 4 bytes"
         if framing.stuffing is not None:
             return "stuffed"
         return CheckColumns.why_not(framing, extras)
+
+    def _sizes(self, data: Array, starts: Array) -> tuple[Array, Array | int]:
+        """Return sizes, and how many bytes of each packet say it: where there are less, the packet is not whole."""
+        if self._places is None:
+            return self.sizes(data, starts), self.reach
+        _, end, known = self._places.of(data, starts)
+        size = np.broadcast_to(end + self._behind, len(starts))
+        left = len(data) - starts
+        return np.where((known > left) & (left < self.framing.max_size), self.framing.max_size, size), known
 
     def decide(self, buffer: bytes, size: int) -> Decided:
         """Return what everything in the first `size` bytes is that can be decided before more come; behind are only
@@ -78,12 +93,13 @@ class Survey(PacketHeaders):
         starts = self.headers(data, stop)
         if not len(starts):
             return Decided(starts, starts, _NONE, _NONE, _NONE, stop)
-        sizes = self.sizes(data, starts)
+        sizes, reach = self._sizes(data, starts)
         bad: list[tuple[Array, Array, Array]] = []
         if int(sizes.min()) < framing.min_size or int(sizes.max()) > framing.max_size:
             wrong = (sizes < framing.min_size) | (sizes > framing.max_size)
             lost = starts[wrong]
-            bad.append((lost, lost + self.reach, np.full(len(lost), LENGTH)))
+            looked = reach[wrong] if isinstance(reach, np.ndarray) else reach
+            bad.append((lost, lost + looked, np.full(len(lost), LENGTH)))
             starts, sizes = starts[~wrong], sizes[~wrong]
         # Only the last ones can be incomplete.
         tail = int(np.searchsorted(starts, len(data) - framing.max_size))

@@ -382,7 +382,7 @@ def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
 
 def _kind(leaf: p.NodePath, raw: bool) -> ColumnKind:
     node, scale = leaf.node, leaf.node.scale
-    optional = bool(leaf.whens) or leaf.kind is not None or node.may_be_none
+    optional = bool(leaf.whens) or leaf.kind is not None or node.may_be_none or leaf.field.node.may_be_none
     is_object = dtype_of(node, raw) is None
     if raw:
         return ColumnKind(leaf.path, "", leaf.field.doc, None, None, is_object, optional)

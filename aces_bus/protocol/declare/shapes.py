@@ -71,9 +71,12 @@ class Shapes:
         for _, body in self.items:
             if isinstance(body, Present):
                 self.masks[body.selector] = self.masks.get(body.selector, 0) | 1 << body.bit
+        #: The least and the greatest size of each field, in bytes.
+        self.sizes = [sizes(body) for body in self.bodies]
         last = max((n for n, (item, _) in enumerate(self.items) if item.name in self.masks), default=-1)
-        for item, body in zip([item for item, _ in self.items[: last + 1]], self.bodies, strict=False):
-            least, most = sizes(body)
+        for (item, _), body, (least, most) in zip(
+            self.items[: last + 1], self.bodies, self.sizes, strict=False
+        ):
             wire = wire_number(innermost(body))
             if least != most or (item.name in self.masks and (wire is None or wire.kind != "uint")):
                 name = item.name or "constant"
@@ -137,7 +140,7 @@ class Shapes:
         offset: int | None = message.payload_start
         there: list[c.Construct] = []
         absent: set[str] = set()
-        for item, body in self.items:
+        for (item, body), (low, high) in zip(self.items, self.sizes, strict=True):
             if isinstance(body, Present):
                 if body.selector not in absent and body.selector not in known:
                     bits = tuple(place for name, place in places.items() if name not in known)
@@ -152,7 +155,6 @@ class Shapes:
             if item.name in self.masks:
                 places[item.name] = self._place(item.name, body, offset)
             there.append(item)
-            low, high = sizes(body)
             offset = offset + low if offset is not None and low == high else None
         return PayloadShape(tuple(there), None if offset is None else offset - message.payload_start)
 

@@ -22,13 +22,7 @@ def by_shape(shapes: Shapes, arguments: str, label: str, make: Callable[[Payload
 
     def printed(level: ShapeLevel) -> str:
         return (
-            f"def choose({arguments}):\n"
-            f"    if len(data) < {level.reach}:\n"
-            "        return None\n"
-            f"    found = get({_key(level, 'data', '')})\n"
-            "    if found is None:\n"
-            "        found = grow(data)\n"
-            f"    return found({passed})\n"
+            f"def choose({arguments}):\n{_found(level, 'data', '', 'len(data)')}    return found({passed})\n"
         )
 
     return _Tables(shapes, label, printed, make).root
@@ -54,11 +48,7 @@ def measure_of(measure: BitSize | FieldSize, label: str) -> Callable[[bytes, int
     def printed(level: ShapeLevel) -> str:
         return (
             "def choose(buffer, i, end):\n"
-            f"    if end - i < {level.reach}:\n"
-            "        return None\n"
-            f"    found = get({_key(level, 'buffer', 'i + ')})\n"
-            "    if found is None:\n"
-            f"        found = grow(buffer[i : i + {level.reach}])\n"
+            f"{_found(level, 'buffer', 'i + ', 'end - i')}"
             "    return found if found.__class__ is int else found(buffer, i, end)\n"
         )
 
@@ -104,18 +94,40 @@ class _Tables:
             table[key if more else number] = made
             return made
 
-        names = {"get": table.get, "grow": grow, "from_bytes": int.from_bytes}
+        names = {"table": table, "grow": grow}
         return load_source(self._printed(level), f"{self._label}, level {self._count}", names)["choose"]
 
 
-def _key(level: ShapeLevel, data: str, start: str) -> str:
-    """Return the deciding numbers of a packet, as an expression."""
+def _found(level: ShapeLevel, data: str, start: str, left: str) -> str:
+    """Return the lines that set `found` to what the deciding numbers of a packet lead to, and return None where these are
+    not there: what looks at the last byte of them fails by itself.
+    """
     parts = [_number(bits, data, start) for bits in level.bits]
-    return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
+    key = parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
+    is_short = (
+        ""
+        if f"[{start}{level.reach - 1}]" in key
+        else f"    if {left} < {level.reach}:\n        return None\n"
+    )
+    whole = f"{data}[{start.removesuffix(' + ')} : {start}{level.reach}]" if start else data
+    return (
+        f"{is_short}"
+        "    try:\n"
+        f"        found = table[{key}]\n"
+        "    except KeyError:\n"
+        f"        found = grow({whole})\n"
+        "    except IndexError:\n"
+        "        return None\n"
+    )
 
 
 def _number(bits: DecidingBits, data: str, start: str) -> str:
-    if bits.size == 1:
-        return f"{data}[{start}{bits.offset}] & {bits.mask:#x}"
-    run = f"{data}[{start}{bits.offset} : {start}{bits.offset + bits.size}]"
-    return f'from_bytes({run}, "{bits.order}") & {bits.mask:#x}'
+    parts = []
+    for index in range(bits.size):
+        shift = 8 * (index if bits.order == "little" else bits.size - 1 - index)
+        if mask := bits.mask >> shift & 0xFF:
+            byte = f"{data}[{start}{bits.offset + index}]" + (f" & {mask:#x}" if mask != 0xFF else "")
+            parts.append(
+                (f"({byte}) << {shift}" if mask != 0xFF else f"{byte} << {shift}") if shift else byte
+            )
+    return " | ".join(parts)

@@ -1,48 +1,57 @@
 """Finds whole packets in a large chunk at once, with NumPy.
 
-1. `PacketFinder` gives exactly the candidates that are whole (and whose check holds, where running sums say so), in order;
-   which are accepted, and what becomes of the bytes between, is decided by the scanner.
+1. `PacketFinder` gives candidates that are whole (and whose check holds, where running sums say so), in order: all of them,
+   but where fields say the size those inside another. Which are accepted, and what becomes of the bytes between, is decided
+   by the scanner.
 2. It looks only where everything is decidable: before the first candidate that is still incomplete.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..declare.checks import Check, Sum
-from ..declare.framing import Framing
+from ..declare.framing import BitSize, FieldSize, Framing
 
 Array = npt.NDArray[Any]
 
 
 def number_at(data: Array, at: Array, size: int, order: str) -> Array:
-    """Return the unsigned numbers of `size` bytes at `at`, as int64 (uint64 of 8 bytes)."""
+    """Return the unsigned numbers of `size` bytes at `at`, as int64 (uint64 of 8 bytes, uint8 of one); what reaches behind
+    the data is any.
+    """
     if size == 1:
-        return data.take(at)
+        return data.take(at, mode="clip")
     number = np.zeros(len(at), np.int64 if size < 8 else np.uint64)
     for index in range(size):
         shift = 8 * (index if order == "little" else size - 1 - index)
-        number |= data.take(at + index).astype(number.dtype) << number.dtype.type(shift)
+        number |= data.take(at + index, mode="clip").astype(number.dtype) << number.dtype.type(shift)
     return number
 
 
 class PacketHeaders:
     """Where packets of a framing may begin, and what their headers say of their sizes; for framings with sync bytes whose
-    size is fixed or in a header field."""
+    size is fixed, in a header field or in bits of the header."""
 
     def __init__(self, framing: Framing) -> None:
         self.framing = framing
         #: How many bytes tell whether a header is one, and how long its packet.
         self.reach = len(framing.sync) + (1 if framing.not_next else 0)
-        affine = framing.affine
-        self._table: Array | None = None
+        affine, measure = framing.affine, framing.measure
+        #: What header bytes add to the size, by their offset.
+        self._tables: list[tuple[int, Array]] = []
         if affine is not None:
             self.reach = max(self.reach, affine.length.offset + affine.length.size)
             if affine.length.size == 1:
-                self._table = np.arange(256) * affine.factor + affine.constant
+                self._tables = [(affine.length.offset, np.arange(256) * affine.factor + affine.constant)]
+        elif isinstance(measure, BitSize):
+            self.reach = max(self.reach, measure.reach)
+            self._tables = [(offset, np.array(table, np.int64)) for offset, table in measure.tables]
+            self._tables[0] = self._tables[0][0], self._tables[0][1] + measure.constant
 
     def headers(self, data: Array, last: int) -> Array:
         """Return where a packet may begin, before `last`."""
@@ -57,11 +66,15 @@ class PacketHeaders:
     def sizes(self, data: Array, starts: Array) -> Array:
         """Return the sizes of the packets that begin at `starts`, int64."""
         affine = self.framing.affine
+        if self._tables:
+            (offset, table), *more = self._tables
+            number = table.take(data[offset:].take(starts))
+            for offset, table in more:
+                number = number + table.take(data[offset:].take(starts))
+            return number
         if affine is None:
             return np.full(len(starts), self.framing.fixed_size, np.int64)
         head = affine.length
-        if self._table is not None:
-            return self._table.take(data[head.offset :].take(starts))
         number = number_at(data[head.offset :], starts, head.size, head.order).astype(np.int64)
         number *= affine.factor
         number += affine.constant
@@ -71,8 +84,12 @@ class PacketHeaders:
 class PacketFinder(PacketHeaders):
     """The whole packets of one framing."""
 
-    def __init__(self, framing: Framing, cover: int | None) -> None:
+    def __init__(
+        self, framing: Framing, cover: int | None, measure: Callable[[bytes, int, int], int | None] | None
+    ) -> None:
         super().__init__(framing)
+        #: Where fields say the size: what measures a packet, see `measure_of`.
+        self._measure = measure if isinstance(framing.measure, FieldSize) else None
         check = framing.check
         #: Where the covered bytes start, when running sums answer the check; None: candidates come unchecked.
         self.cover = cover if check is not None and check.kind != "crc" else None
@@ -89,11 +106,14 @@ class PacketFinder(PacketHeaders):
         if last <= 0:
             return [], [], 0
         starts = self.headers(data, last)
-        sizes = self.sizes(data, starts)
-        ends = starts + sizes
-        possible = (sizes >= framing.min_size) & (sizes <= framing.max_size)
-        if not possible.all():
-            starts, ends = starts[possible], ends[possible]
+        if self._measure is not None:
+            starts, ends = self._measured(self._measure, buffer, starts)
+        else:
+            sizes = self.sizes(data, starts)
+            ends = starts + sizes
+            possible = (sizes >= framing.min_size) & (sizes <= framing.max_size)
+            if not possible.all():
+                starts, ends = starts[possible], ends[possible]
         cut = np.flatnonzero(ends > len(data))
         stop = last
         if len(cut):
@@ -105,6 +125,25 @@ class PacketFinder(PacketHeaders):
             good = self._checked(data, framing.check, starts + self.cover, ends - framing.check_size)
             starts, ends = starts[good], ends[good]
         return starts.tolist(), ends.tolist(), stop
+
+    def _measured(
+        self, measure: Callable[[bytes, int, int], int | None], buffer: bytes, headers: Array
+    ) -> tuple[Array, Array]:
+        """Return (starts, ends) of packets whose fields say their size, where that is possible. A packet that does not say
+        it yet ends behind the buffer; inside a packet none is looked for.
+        """
+        least, most, end = self.framing.min_size, self.framing.max_size, len(buffer)
+        starts: list[int] = []
+        ends: list[int] = []
+        at = 0
+        for start in headers.tolist():
+            if start >= at:
+                size = measure(buffer, start, end) or end - start + 1
+                if least <= size <= most:
+                    at = start + size
+                    starts.append(start)
+                    ends.append(at)
+        return np.array(starts, np.int64), np.array(ends, np.int64)
 
     def _checked(self, data: Any, check: Check, starts: Any, ends: Any) -> Any:
         """Return whether the number at `ends` is that of the bytes before it, from running sums."""

@@ -99,7 +99,7 @@ class StreamScanner:
             cover = plain_cover(framing)
             from .find import PacketFinder  # NumPy is loaded only where a stream is read
 
-            self._finder = PacketFinder(framing, cover)
+            self._finder = PacketFinder(framing, cover, names.get("measure_0"))
             self._decode: Callable[..., Any] = names["packet_0"]
             if self._finder.cover is None:
                 self._failure = space.get("check_0")
@@ -292,9 +292,14 @@ class StreamScanner:
                 if buffer.find(mark, at, start) < 0:
                     lose(base + at, start - at, "skipped")
                 else:
-                    scan(buffer, base, at, start, False, time, emit, lose, state)
+                    at = scan(buffer, base, at, start, False, time, emit, lose, state)
                     if overlap is not None:
                         summed = overlap.sums.end - base
+                    if at > start:  # a packet that begins in one whose check fails
+                        continue
+                    if at < start:  # and is not whole yet
+                        stop = at
+                        break
             packet = buffer[start:end]
             if failure is not None:
                 if overlap is None:
@@ -320,8 +325,7 @@ class StreamScanner:
                 emit(record)
             at = end
         if at < stop:
-            scan(buffer, base, at, stop, False, time, emit, lose, self._state)
-            at = stop
+            at = scan(buffer, base, at, stop, False, time, emit, lose, self._state)
         if finder.summed:
             self._sums[0].forget()
         return at
@@ -436,7 +440,7 @@ def has_size(framing: Framing) -> bool:
     """Return whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
     if framing.covers_request:
         return False
-    return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
+    return bool(framing.sync) and not framing.end and not framing.is_silent
 
 
 def _judge(

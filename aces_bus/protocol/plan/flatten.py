@@ -152,6 +152,7 @@ def flatten(message: Message) -> p.MessagePlan:
         _head(head, head in message.heads, fields, constants, one_of)
     builder = _Builder(message, tail)
     opaque = ""
+    all_fields: p.MessagePlan | None = None
     try:
         for head in message.heads_written:
             if head.pattern is not None and _numbers(head.pattern) is None:
@@ -163,7 +164,8 @@ def flatten(message: Message) -> p.MessagePlan:
         read = builder.constants  # what was read before it stopped is true all the same
         builder = _Builder(message, tail)
         builder.constants = read
-        inside = _by_bits(message, opaque) if has_shapes(message) else {}
+        all_fields = _all_fields(message)
+        inside = _by_bits(message, all_fields, opaque) if all_fields is not None else {}
         builder.fields = [
             p.PlanField(name, inside[name] if name in inside else _opaque(message, name, opaque))
             for name in names
@@ -195,6 +197,7 @@ def flatten(message: Message) -> p.MessagePlan:
         is_checked=check is not None,
         opaque=opaque,
         parts=tuple(_parts(message.payload, message.name)) if opaque else (),
+        all_fields=all_fields,
         doc=message.doc,
         place=message.place.stable,
     )
@@ -217,18 +220,22 @@ def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
     return p.OpaqueItems(reason, tuple(values))
 
 
-def _by_bits(message: Message, reason: str) -> dict[str, p.Node]:
-    """Return what the fields of a message are that are there by bits, as far as they have a flat form."""
-    shapes = Shapes(message)
-    found = flatten(message.with_payload(c.Struct(*shapes.all_items)))
-    if not found.is_flat:
-        return {}
-    nodes = {field.name: field.node for field in found.fields}
+def _all_fields(message: Message) -> p.MessagePlan | None:
+    """Return the plan of a packet that has all fields of a message whose fields are there by bits, where that is flat."""
+    if not has_shapes(message):
+        return None
+    found = flatten(message.with_payload(c.Struct(*Shapes(message).all_items)))
+    return found if found.is_flat else None
+
+
+def _by_bits(message: Message, all_fields: p.MessagePlan, reason: str) -> dict[str, p.Node]:
+    """Return what the fields of a message are that are there by bits."""
+    nodes = {field.name: field.node for field in all_fields.fields}
     return {
         item.name: p.ByBits(reason, nodes[item.name], body.selector, body.bit)
         if isinstance(body, Present)
         else p.ByBits(reason, nodes[item.name])
-        for item, body in shapes.items
+        for item, body in Shapes(message).items
         if item.name in nodes
     }
 

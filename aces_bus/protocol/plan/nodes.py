@@ -1067,6 +1067,8 @@ class MessagePlan(msgspec.Struct, frozen=True, dict=True, weakref=True):
     opaque: str = ""
     #: Of an opaque message: (path, field names) of each nested record.
     parts: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    #: Of a message whose fields are there by bits: the plan of a packet that has all of them, where that is flat.
+    all_fields: MessagePlan | None = None
     doc: str = ""
     place: str = ""
 
@@ -1096,6 +1098,9 @@ class MessagePlan(msgspec.Struct, frozen=True, dict=True, weakref=True):
     @cached_property
     def columns(self) -> tuple[NodePath, ...]:
         """Columns of tables: the single values, and behind each list of items its inner values."""
+        if self.all_fields is not None:
+            by_name = {field.name: field for field in self.fields}
+            return tuple(replace(leaf, field=by_name[leaf.field.name]) for leaf in self.all_fields.columns)
         found: list[NodePath] = []
         for leaf in self.leaves:
             found.append(leaf)
