@@ -125,6 +125,16 @@ KINDS: Mapping[str, Kind] = {
         amplitude=60.0,
         is_checked=False,
     ),
+    "roboclaw": Kind(
+        "roboclaw",
+        "roboclaw",
+        ("timeout_s = 8", "timeout_s = 8", "timeout_s = 0"),
+        lambda twin, here: any(twin.duty.values()),
+        300 * MS,
+        baud=460_800,
+        joint=TURNS.format("duty"),
+        amplitude=0.5,
+    ),
     "vesc": Kind(
         "vesc_uart",
         "vesc_uart",
@@ -138,6 +148,9 @@ KINDS: Mapping[str, Kind] = {
         is_checked=False,
     ),
 }
+
+#: What devices of a protocol are known by, and the number before the first.
+CREDENTIALS = {"modbus": ("unit", 0), "roboclaw": ("address", 0x7F)}
 
 
 @cache
@@ -155,7 +168,8 @@ def robot_of(name: str) -> Robot:
     for n, settings in enumerate(kind.settings, 1):
         more = f', model = "{kind.model}"' if kind.model else ""
         if not kind.is_alone:
-            more += f", credentials = {{ {'unit' if kind.protocol == 'modbus' else 'id'} = {n} }}"
+            credential, first = CREDENTIALS.get(kind.protocol, ("id", 0))
+            more += f", credentials = {{ {credential} = {first + n} }}"
         bus = f"L{n}" if kind.is_alone else "L1"
         lines.append(
             f'D{n} = {{ driver = "{kind.driver}", bus = "{bus}"{more}, settings = {{ {settings} }} }}\n'

@@ -22,6 +22,7 @@ ASKED: Mapping[str, tuple[str, dict[str, Any]]] = {
     **dict.fromkeys(KINDS, ("Ping", {})),
     "modbus": ("ReadRegisters", {"function": 3, "start": 10, "count": 1}),
     "qik": ("GetError", {}),
+    "roboclaw": ("GetStatus", {}),
     "vesc": ("GetFirmware", {}),
 }
 

@@ -31,6 +31,8 @@ class Tracer(Reference):
     def __init__(self, variants: Sequence[Variant], *, direction: GivenWay | None = None) -> None:
         super().__init__(variants, direction=direction)
         is_alone = len({variant.name for variant in variants}) == 1
+        #: Answers that only a pending request tells from other bytes.
+        self._unmarked = [message for *_, context in self.sides for message in context.unmarked]
         self.templates: list[Template] = []
         for variant, messages, _, _ in self.sides:
             for message in messages:
@@ -108,7 +110,11 @@ class Tracer(Reference):
                 framing: known for framing in framings if (known := _size_of(framing, prefix)) is not None
             }
             contest.part(
-                (t, _death(t, prefix, verdicts[t.framing], sizes.get(t.framing), found, silent, is_last))
+                (
+                    t,
+                    self._unasked(t.message, found)
+                    or _death(t, prefix, verdicts[t.framing], sizes.get(t.framing), found, silent, is_last),
+                )
                 for t in contest.alive
             )
             offsets.append(at - start - 1)
@@ -144,6 +150,14 @@ class Tracer(Reference):
             left_out=left_out,
             raw=data[start : start + found.size],
         )
+
+    def _unasked(self, message: Message, found: ReferenceItem) -> tuple[str, str] | None:
+        """Say that nobody has asked for an answer that no byte marks; None where somebody has, or a byte marks it."""
+        if message.name == found.message or message not in self._unmarked:
+            return None
+        asked = found.request.name if found.request is not None else ""
+        is_awaited = any(request.message.name == asked for request in (*message.reply_to, *message.after))
+        return None if is_awaited else ("request", "nobody has asked for it")
 
     def _question(self, framing: Framing, found: ReferenceItem) -> bytes | None:
         """Return the packet that an answer of this framing answers, where its check covers it."""
