@@ -28,7 +28,20 @@ from hypothesis import strategies as st
 
 from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CallerError
-from aces_bus.protocol import BitLayout, Crc, Enumeration, IdField, Protocol, Quantity, Sum, Xor, bits
+from aces_bus.protocol import (
+    BitLayout,
+    Counter,
+    Crc,
+    Enumeration,
+    IdField,
+    Present,
+    Protocol,
+    Quantity,
+    Sum,
+    Text,
+    Xor,
+    bits,
+)
 from aces_bus.protocol.against import check_recordings
 from aces_bus.protocol.against.finding import Observation
 from aces_bus.protocol.against.losses import GROUPS
@@ -188,6 +201,77 @@ def test_a_field_that_is_not_as_declared(declared: Any, written: Any, rule: str,
     assert (found.rule, found.message) == (rule, "Only")
     assert says in f"{found.text} {found.remedy}"
     assert 0 < found.count <= found.total
+
+
+def test_bits_counted_from_the_other_end() -> None:
+    """Numbers of eleven bits that move smoothly only in the other order; in the right one nothing is said."""
+
+    def channels(n: int) -> bytes:
+        return sum(wave(n + 40 * k, 700) + 992 << 11 * k for k in range(5)).to_bytes(8, "little")
+
+    def declared(order: Any) -> Protocol:
+        return one_message(BitLayout(8, *(f"c{k}" / bits(11) for k in range(5)), order=order))
+
+    (found,) = (one for one in held(declared("msb"), frames(channels)) if one.rule == "bit-order")
+    assert (found.level, found.count, found.total) == (
+        "warning",
+        4,
+        4,
+    )  # the last one's bits are the layout's reserved ones
+    assert rules(held(declared("lsb"), frames(channels))) == []
+
+
+def test_a_long_gap_that_changes() -> None:
+    """More bits than a machine word has, of no field: a layout that ends too early."""
+    payload = BitLayout(22, "c" / bits(11), trailing="")
+    packets = [b"\xc8" + (wave(n, 700) + 992 << 120 | 5).to_bytes(22, "little") for n in range(100)]
+    stream = Protocol("long", link="serial")
+    framing = stream.framing(sync=b"\xc8", size=23, max_size=23)
+    stream.message("M", framing=framing, payload=payload)
+    (found,) = (one for one in held(stream, b"".join(packets)) if one.level != "note")
+    assert (found.rule, found.total) == ("gap", 100)
+    assert "16.0" in found.text
+
+
+def test_texts_with_control_characters() -> None:
+    """A text that begins a byte too early; padding is none."""
+    shifted = frames(lambda n: bytes([1 + n % 3]) + b"ABC\0\0\0\0")
+    assert rules(held(one_message(Struct("name" / Text(8))), shifted)) == ["text"]
+    right = one_message(Struct("kind" / Byte, "name" / Text(7)))
+    assert rules(held(right, shifted)) == []
+
+
+def test_a_counter_that_begins_anew_is_a_warning() -> None:
+    """Of the payload and of a stream's header, where it tells no devices apart; one that never ends may be a total."""
+    counted = frames(lambda n: bytes([n % 256, wave(n, 50) & 0xFF]), count=600)
+    payload = Struct("count" / Byte, "x" / Byte)
+    assert rules(held(one_message(payload), counted)) == ["counter"]
+    assert rules(held(one_message(Struct("count" / Counter(Byte), "x" / Byte)), counted)) == []
+    assert rules(held(one_message(payload), counted[:200])) == []
+    stream = Protocol("headed", link="serial")
+    framing = stream.framing(sync=b"\xa5", header=Struct("count" / Byte), size=4, max_size=4)
+    stream.message("M", framing=framing, payload=Struct("x" / Int16sl))
+    data = b"".join(
+        bytes([0xA5, n % 256]) + wave(n, 9000).to_bytes(2, "little", signed=True) for n in range(600)
+    )
+    assert rules(held(stream, data)) == ["counter"]
+
+
+def test_fields_that_bits_say_are_watched() -> None:
+    """Ranges and steps of fields that are not always there."""
+    payload = Struct(
+        "mask" / Byte,
+        "warm" / Present("mask", 0, Quantity(Int16sl, unit="°C", range=(-40, 80))),
+        "x" / Present("mask", 1, Int16sb),
+    )
+    given = frames(
+        lambda n: (
+            bytes([3 if n % 2 else 2])
+            + (wave(n, 100).to_bytes(2, "little", signed=True) if n % 2 else b"")
+            + wave(n, 9000).to_bytes(2, "little", signed=True)
+        )
+    )
+    assert sorted(rules(held(one_message(payload), given))) == ["byte-order", "range"]
 
 
 def test_frames_that_are_no_message() -> None:

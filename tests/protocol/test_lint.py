@@ -13,8 +13,10 @@ from aces_bus.protocol import (
     Enumeration,
     IdBytes,
     IdField,
+    Present,
     Protocol,
     Quantity,
+    Reserved,
     SignMagnitude,
     Sum,
     Xor,
@@ -360,6 +362,42 @@ def test_requests_that_cannot_have_been() -> None:
     p.message("Late", id=4, direction="from device", reply_to=ask, within=-1, payload=Struct("a" / Byte))
     assert {one.message for one in found(p, "request") if one.level == "error"} == {"Answer", "Late"}
     assert only(p, "direction").message == "Echo"
+
+
+def test_answers_that_lack_a_direction_or_have_the_number_of_another_request() -> None:
+    """Both are seen from what they answer; an answer of several numbers is left alone."""
+    made = Protocol("asked", link="can")
+    ask = made.family(id=0x140, direction="to device", prefix=Struct("command" / Byte))
+    tell = made.family(id=0x240, prefix=Struct("command" / Byte))
+    speed = ask("GetSpeed", command=1, payload=Struct("zero" / Reserved(7)))
+    angle = ask("GetAngle", command=2, payload=Struct("zero" / Reserved(7)))
+    tell("Speed", command=1, reply_to=speed, payload=Struct("speed" / Int16ul))
+    tell("Angle", command=2, reply_to=speed, direction="from device", payload=Struct("angle" / Int16ul))
+    tell("Any", command={3, 4}, reply_to=angle, direction="from device", payload=Struct("x" / Int16ul))
+    said = [finding.text for finding in check_protocol(made) if finding.level != "note"]
+    assert said == [
+        "Speed: no direction=; GetSpeed, which it answers, goes to device: direction='from device'",
+        "Angle: reply_to=GetSpeed, but its command 0x02 is that of GetAngle",
+    ]
+
+
+def test_fields_in_another_order_than_their_bits() -> None:
+    """Two flags of a mask swapped, or one bit twice; each mask for itself."""
+    made = Protocol("masked", link="can")
+    payload = Struct(
+        "mask" / Byte,
+        "more" / Byte,
+        "a" / Present("mask", 0, Byte),
+        "b" / Present("mask", 2, Byte),
+        "c" / Present("more", 0, Byte),
+        "d" / Present("mask", 1, Byte),
+        "e" / Present("more", 0, Byte),
+    )
+    made.message("M", id=1, payload=payload)
+    assert [finding.text for finding in check_protocol(made) if finding.rule == "mask"] == [
+        "M: d is there by bit 1, behind b by bit 2 of mask: fields are mostly in the order of their bits",
+        "M: e is there by the same bit as c of more: fields are mostly in the order of their bits",
+    ]
 
 
 def test_a_reply_that_is_never_recognised() -> None:

@@ -6,6 +6,7 @@
 
 The rules, by the name in brackets behind an observation:
 
+    bit-order     a layout whose numbers move smoothly only in the other order of bits
     byte-order    a number that moves smoothly only in another order of its bytes or parts
     check         a check that fails again and again; a byte that is a check, and is not declared as one
     constant      fields that never change
@@ -18,6 +19,7 @@ The rules, by the name in brackets behind an observation:
     sign          a number that jumps over its range where it passes zero
     size          frames and packets longer or shorter than their fields
     skipped       bytes that begin no packet
+    text          texts with control characters
     undeclared    identifiers and opcodes that no message has
     unseen        messages and fields that never occur
 """

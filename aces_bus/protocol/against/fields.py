@@ -7,7 +7,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 from zlib import crc32
@@ -15,9 +16,11 @@ from zlib import crc32
 import numpy as np
 
 from ..columns.table import Array, Column, MessageTable
+from ..declare.fields import Counter, text_until
 from ..declare.message import Message
 from ..lint.finding import Level
 from ..plan import nodes as p
+from .bit_order import BitOrder
 from .finding import Moment, Observation
 from .numbers import IntegerSteps, Suspicion, steps_of
 
@@ -29,6 +32,9 @@ UNNAMED = 8
 AGAIN, SHARE = 3, 0.02
 #: Messages from which on it means something that a field never changes.
 ENOUGH = 20
+
+#: Characters that no text has: control characters, but for tabs and ends of lines.
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
 
 #: From a row of a table to its place in the recording.
 Locate = Callable[[MessageTable, int], Moment]
@@ -84,7 +90,9 @@ class FieldWatch:
     def __init__(self, message: Message, leaf: p.NodePath) -> None:
         self.message = message
         self.leaf = leaf
-        self.steps = steps_of(leaf.node)
+        #: What the field is, where bits say whether it is there.
+        self._known = leaf.node.known or leaf.node
+        self.steps = steps_of(self._known)
         self.is_unnamed = leaf.node.is_unclaimed
         self.total = 0
         self._first_value: Any = None
@@ -94,9 +102,12 @@ class FieldWatch:
         self._vary = _Found()
         self._last: dict[int, Any] = {}
         self._beyond = _Found()
+        #: Texts with characters that are none.
+        self.is_text = getattr(self._known, "kind", "") == "text"
+        self._odd = _Found()
         self._least, self._most = np.inf, -np.inf
         self._unnamed: dict[int, _Found] = {}
-        node = leaf.node
+        node = self._known
         scale = node.scale
         self._limits = scale.limits if scale is not None else None
         self._exempt = [*scale.unknown, *(raw for raw, _ in scale.names)] if scale is not None else []
@@ -112,8 +123,12 @@ class FieldWatch:
             values = values[rows]
         if not len(values):
             return
+        if values.dtype == object and self._known.is_number and not self.is_unnamed:
+            # Where bits say whether a field is there, construct has read it.
+            there = np.flatnonzero([isinstance(value, (int, float)) for value in values.tolist()])
+            values, rows = np.array(values[there].tolist()), there if rows is None else rows[there]
         if values.dtype == object:
-            self._take_objects(values)
+            self._take_objects(values, rows, table, locate)
             return
         self.total += len(values)
         if self._first_value is None:
@@ -132,18 +147,30 @@ class FieldWatch:
             followed = shared if rows is None else _Followed(devices[rows])
             self.steps.take(values, *followed.pairs(values, self._last))
 
-    def _take_objects(self, values: Array) -> None:
+    def _take_objects(self, values: Array, rows: Array | None, table: MessageTable, locate: Locate) -> None:
         self.total += len(values)
+        if self.is_unnamed:
+            first = values[0] if self._first_value is None else self._first_value
+            others = [n for n, value in enumerate(values.tolist()) if value != first]
+            for n in others:
+                self._varying |= values[n] ^ first
+            which = np.array(others, np.int64)
+            self._vary.add(which if rows is None else rows[which], table, locate)
+        if self.is_text:
+            ends = getattr(self._known, "ends", "")
+            odd = [n for n, value in enumerate(values.tolist()) if _CONTROL.search(_text_of(value, ends))]
+            which = np.array(odd, np.int64)
+            self._odd.add(which if rows is None else rows[which], table, locate)
         if not self._changes:
             if self._first_value is None:
                 self._first_value = values[0]
             self._changes = any(value != self._first_value for value in values.tolist())
 
     def _judge(self, values: Array, rows: Array | None, table: MessageTable, locate: Locate) -> None:
-        scale = self.leaf.node.scale
+        scale = self._known.scale
         if self._limits is not None and scale is not None:
             low, high = self._limits
-            physical = values * scale.scale + scale.offset
+            physical = values.astype(np.float64) * scale.scale + scale.offset
             slack = abs(scale.scale) / 2
             with np.errstate(invalid="ignore"):
                 beyond = (physical < low - slack) | (physical > high + slack)
@@ -190,6 +217,14 @@ class FieldWatch:
                 self._beyond,
                 "check sign, scale and byte order; if they are right, widen the range",
             )
+        if self._odd.count >= max(AGAIN, SHARE * self.total):
+            yield self._observation(
+                "warning",
+                "text",
+                f"{name} has control characters in {self._odd.count} of {self.total} messages: it is no text, or not there",
+                self._odd,
+                "check where it begins; if they are right, read it as Bytes",
+            )
         if self._unnamed:
             values = ", ".join(map(str, sorted(self._unnamed)))
             whole = _Found()
@@ -208,10 +243,11 @@ class FieldWatch:
         elif self.counts_up:
             whole = _Found()
             whole.count = self.total
+            wraps = isinstance(self.steps, IntegerSteps) and self.steps.wraps
             yield self._observation(
-                "note",
+                "warning" if wraps else "note",
                 "counter",
-                f"{name} counts up by one from message to message",
+                f"{name} counts up by one from message to message{', and begins anew' if wraps else ''}",
                 whole,
                 "if it is a rolling counter, declare it as Counter: then missing messages are counted",
             )
@@ -219,12 +255,13 @@ class FieldWatch:
     @property
     def counts_up(self) -> bool:
         """True if the field is a counter that the spec does not name."""
-        node = self.leaf.node
+        node = self._known
         return (
             isinstance(self.steps, IntegerSteps)
             and self.steps.counts_up
             and not node.unit
             and self.leaf.path not in self.message.counters
+            and not any(isinstance(h.field, Counter) and h.name == self.leaf.path for h in self.message.heads)
         )
 
     def _of_suspicion(self, name: str, suspicion: Suspicion) -> Observation:
@@ -274,6 +311,24 @@ class FieldWatch:
         )
 
 
+def _items_of(message: Message) -> Sequence[Any]:
+    found: Sequence[Any] = getattr(message.payload, "subcons", ())
+    return found
+
+
+def _counts(values: Array) -> bool:
+    """Return whether almost every value is the next number: a counter of the header, which tells no devices apart."""
+    if len(values) < ENOUGH or values.dtype.kind not in "iu":
+        return False
+    steps = np.diff(values.astype(np.int64))
+    return bool(((steps == 1) | (steps < 0) & (values[1:] == 0)).mean() >= 0.95)
+
+
+def _text_of(value: Any, ends: str) -> str:
+    """Return a raw text without its padding."""
+    return text_until(value.decode("latin-1") if isinstance(value, bytes) else str(value), ends)
+
+
 def _span(least: float, most: float) -> str:
     return f"{least:g}" if least == most else f"{least:g}…{most:g}"
 
@@ -288,7 +343,9 @@ class MessageWatch:
         self.received = self.sent = 0
         self.first: Moment | None = None
         self.fields = [FieldWatch(message, leaf) for leaf in message.plan.leaves]
-        outer = message.outer_names
+        self._bit_order = BitOrder(message)
+        masks = {getattr(getattr(item, "subcon", item), "selector", None) for item in _items_of(message)}
+        outer = message.outer_names - masks
         #: What tells one device from another, and one quantity from another.
         self._telling = [
             field.leaf.path
@@ -301,6 +358,7 @@ class MessageWatch:
         """Take the messages of a piece of the recording."""
         if self.first is None:
             self.first = locate(table, 0)
+            self._telling = [name for name in self._telling if not _counts(table[name].values)]
         self.total += len(table)
         self.received += int((table.rx == 1).sum())
         self.sent += int((table.rx == 0).sum())
@@ -308,6 +366,7 @@ class MessageWatch:
         shared = _Followed(devices)
         for field in self.fields:
             field.take(table[field.leaf.path], table, devices, locate, shared)
+        self._bit_order.take(table, shared)
 
     def _devices_of(self, table: MessageTable) -> Array:
         """Return the device of each row, numbered; −1 beyond `DEVICES`."""
@@ -335,6 +394,20 @@ class MessageWatch:
         """Yield what the recording says of this message's fields."""
         for field in self.fields:
             yield from field.observations()
+        if (smoother := self._bit_order.smoother()) is not None:
+            better, moving = smoother
+            yield Observation(
+                "warning",
+                "bit-order",
+                self.message.place,
+                f"{self.message.name}: {better} of {moving} numbers that begin or end inside a byte move smoothly only"
+                " in the other order of bits",
+                self.message.name,
+                count=better,
+                total=moving,
+                first=self.first,
+                remedy='order="msb" in its BitLayout, or without it "lsb"',
+            )
         outer = self.message.outer_names
         still = [
             field

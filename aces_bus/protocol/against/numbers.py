@@ -177,7 +177,8 @@ class IntegerSteps:
         #: Jumps over half the range, and those that another sign would explain, by the quarters (from, to).
         self._long = 0
         self._jumps: dict[tuple[int, int], int] = {}
-        self._rises = 0
+        #: Steps to the next number, and those of them from the highest number to 0.
+        self._rises = self._anew = 0
 
     def take(self, values: Array, before: Array, after: Array) -> None:
         """Take the raw values of a piece of the recording, and those that follow each other."""
@@ -195,11 +196,13 @@ class IntegerSteps:
             return
         old, new = bits_of(self.node, before[moved]), bits_of(self.node, after[moved])
         self._steps += len(old)
-        self._rises += int(((new - old & _mask(self.width)) == 1).sum())
-        own = _step_bits(as_numbers(self.node, old), as_numbers(self.node, new))
+        rises = (new - old & _mask(self.width)) == 1
+        self._rises += int(rises.sum())
+        self._anew += int((rises & (new == 0)).sum())
+        own = step_bits(as_numbers(self.node, old), as_numbers(self.node, new))
         self._bits[0] += own.sum()
         for number, reading in enumerate(self.readings):
-            other = _step_bits(reading.read(old), reading.read(new))
+            other = step_bits(reading.read(old), reading.read(new))
             self._bits[1 + number] += other.sum()
             self._wins[number] += int((other < own - 1).sum())
         self._long += int((own >= self.width - 1).sum())
@@ -221,6 +224,11 @@ class IntegerSteps:
     def counts_up(self) -> bool:
         """True if almost every message has the next number, and enough messages were seen to rule out chance."""
         return self._steps >= STEPS and self._rises >= 0.95 * self._steps
+
+    @property
+    def wraps(self) -> bool:
+        """True if a number that counts up has begun anew behind its highest one: then it is no time and no total."""
+        return self._anew > 0
 
     def suspicion(self) -> Suspicion | None:
         """Return what the steps say against the spec; None when they say nothing."""
@@ -294,7 +302,7 @@ class IntegerSteps:
         return turn is None or not math.isclose(abs(scale.scale) * 2.0**self.width, turn, rel_tol=0.01)
 
 
-def _step_bits(old: Array, new: Array) -> Array:
+def step_bits(old: Array, new: Array) -> Array:
     bits: Array = np.log2(1 + np.abs(new - old))
     return bits
 

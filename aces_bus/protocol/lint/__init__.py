@@ -15,6 +15,7 @@ The rules, by the name in brackets behind a finding:
     enumeration       names that cannot occur; runs of names with holes
     example           a worked example that does not hold; messages without one
     gap               bits that belong to no field; framings without a longest pause
+    mask              fields in another order than the bits by which they are there
     over              precedence over a message that is not there, or with which nothing is shared
     range             a range beyond what the bits hold
     request           a request that cannot have been

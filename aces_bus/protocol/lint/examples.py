@@ -49,7 +49,8 @@ def check_examples(protocol: Protocol) -> Iterator[Finding]:
             "note",
             "example",
             protocol.place,
-            f"{len(without)} of {len(protocol.declared)} messages have no worked example: {shown}",
+            f"{len(without)} of {len(protocol.declared)} messages have no worked example: {shown};"
+            " a recording gives some (--suggest CAPTURE), and says what is wrong (--against CAPTURE)",
         )
 
 

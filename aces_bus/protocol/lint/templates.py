@@ -11,9 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from construct import Renamed
+
 from ..declare.ambiguity import Conflict, Demands, conflict, demands, needing_context, solved
 from ..declare.examples import ExampleFrame
-from ..declare.message import Message, Request
+from ..declare.fields import Present
+from ..declare.message import Message, Request, share_dialect
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
 from ..protocol import Protocol
@@ -32,6 +35,7 @@ def check_templates(protocol: Protocol) -> Iterator[Finding]:
         yield from _somewhere(message, variants)
         yield from _order(message)
         yield from _requests(message, hanging)
+        yield from _masks(message)
     yield from _shadows(hanging)
     yield from _directions(variants)
     yield from _without_direction(protocol)
@@ -113,6 +117,27 @@ def _order(message: Message) -> Iterator[Finding]:
             )
 
 
+def _masks(message: Message) -> Iterator[Finding]:
+    """Yield fields that stand in another order than the bits by which they are there, or share a bit."""
+    last: dict[str, tuple[int, str]] = {}
+    for item in getattr(message.payload, "subcons", ()):
+        body = item.subcon if isinstance(item, Renamed) else item
+        if not isinstance(body, Present):
+            continue
+        bit, before = last.get(body.selector, (-1, ""))
+        if body.bit <= bit:
+            how = "by the same bit as" if body.bit == bit else f"by bit {body.bit}, behind"
+            then = "" if body.bit == bit else f" by bit {bit}"
+            yield _finding(
+                "warning",
+                "mask",
+                message,
+                f"{item.name} is there {how} {before}{then} of {body.selector}:"
+                " fields are mostly in the order of their bits",
+            )
+        last[body.selector] = body.bit, item.name or ""
+
+
 # ---------------------------------------------------------------------- requests
 
 
@@ -154,6 +179,8 @@ def _request(message: Message, what: str, request: Request) -> Iterator[Finding]
             f"reply_to={asked.name}, but both go {message.direction}",
             asked,
         )
+    if what == "reply_to":
+        yield from _answer(message, asked)
     for name, wanted in request.values:
         possible = _values(asked, name)
         if possible is not None and not any(value in possible for value in wanted):
@@ -164,6 +191,56 @@ def _request(message: Message, what: str, request: Request) -> Iterator[Finding]
                 f"{what}={request} cannot be: {name} of {asked.name} is never {', '.join(map(str, sorted(wanted)))}",
                 asked,
             )
+
+
+def _answer(message: Message, asked: Message) -> Iterator[Finding]:
+    """Yield what is doubtful about an answer and its request: a direction that it lacks, the number of another one."""
+    if message.direction is None and asked.direction is not None:
+        other = "from device" if asked.direction == "to device" else "to device"
+        yield _finding(
+            "warning",
+            "direction",
+            message,
+            f"no direction=; {asked.name}, which it answers, goes {asked.direction}: direction={other!r}",
+            asked,
+        )
+    for name in _numbered(message) & _numbered(asked):
+        mine = _values(message, name)
+        if mine is None or len(mine) != 1 or _values(asked, name) == mine:
+            continue
+        meant = [
+            other
+            for other in message.protocol.declared
+            if other.direction == asked.direction
+            and other is not message
+            and share_dialect(other, message)
+            and name in _numbered(other)
+            and _values(other, name) == mine
+        ]
+        if (
+            _is_one(asked, name)
+            and len(meant) == 1
+            and not any(r.message is meant[0] for r in message.reply_to)
+        ):
+            (number,) = mine
+            yield _finding(
+                "warning",
+                "request",
+                message,
+                f"reply_to={asked.name}, but its {name} {number:#04x} is that of {meant[0].name}",
+                asked,
+                meant[0],
+            )
+
+
+def _numbered(message: Message) -> set[str]:
+    """Return the names of the head fields in front of the payload."""
+    return {head.name for head in message.heads_written if head.name is not None}
+
+
+def _is_one(message: Message, name: str) -> bool:
+    values = _values(message, name)
+    return values is not None and len(values) == 1
 
 
 def _values(message: Message, name: str) -> range | frozenset[int] | None:
