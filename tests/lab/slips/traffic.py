@@ -1,4 +1,4 @@
-"""Recordings of the six devices: smooth quantities in plain `struct`, from the sheets, not from the specs, without chance."""
+"""Recordings of the six devices: smooth quantities in plain `struct`, from the sheets and not from the specs."""
 
 from __future__ import annotations
 
