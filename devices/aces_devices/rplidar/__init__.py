@@ -1,0 +1,220 @@
+"""SLAMTEC's RPLIDAR A1 and A2: rounds of distances, and the nearest of each.
+
+1. A scan is begun when the bus opens, and anew when measurements end; a request ends it, so nothing is polled while it runs.
+2. The motor is not this driver's: DTR starts it (A1), or `motor_duty` by the accessory board (A2).
+3. What is measured moves nothing: a stop has nothing to do.
+
+Source: SLAMTEC, RPLIDAR Interface Protocol (A1 & A2 rev. 1.1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import Device, Driver, HostLoss, Job, Steps, Ticket
+from aces_bus.device.settings import described, settings_of
+from aces_bus.errors import NoReplyError
+
+from .twin import RplidarTwin
+
+#: How long an answer may take (s), and how long measurements may fail to come before a scan is begun anew (ns).
+ANSWER_S, BROKEN_NS = 0.5, 1_000_000_000
+#: How often the scan is looked after (s), and how long values of a round are fresh: the slowest motor turns at 1 Hz (s).
+AGAIN_S, STALE_S = 0.5, 2.5
+#: Health is asked before each scan, as a request ends it: until the next one it is the last that is known (s).
+HEALTH_STALE_S = 86_400.0
+HEALTH = ("good", "warning", "error")
+
+
+class RplidarSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    motor_duty: (
+        Annotated[
+            int,
+            Meta(
+                ge=0,
+                le=1023,
+                description="duty of an A2's motor, 0 … 1023 (usual: 660); absent: not sent (A1)",
+            ),
+        ]
+        | None
+    ) = None
+
+
+class Point(NamedTuple):
+    """One distance: clockwise angle (rad), distance (m), quality 0 … 63."""
+
+    angle: float
+    distance: float
+    quality: int
+
+
+class Rplidar(Device):
+    """Signals of a round: nearest (m), nearest_angle (rad), points, rate (Hz); health: 0 good, 1 warning, 2 error.
+
+    `round` has all points of the last whole round; `on_round` is called with it, on the bus's loop.
+    """
+
+    protocol = "rplidar"
+    when_host_is_lost = HostLoss("nothing moves", "a sensor; its motor turns on")
+    actions: ClassVar = {
+        "info": "read model, versions and serial number; the scan is begun anew",
+        "scan": "measure, until `pause`",
+        "pause": "end the scan",
+        "reset": "begin as switched on",
+    }
+    asking: ClassVar = ("info",)
+    attributes: ClassVar = Device.attributes | {"settings", "round", "on_round", "is_wanted"}
+
+    def setup(self) -> None:
+        """Add the signals of a round, and the health."""
+        self.settings = settings_of(self.name, RplidarSettings, self.config.settings)
+        self.round: tuple[Point, ...] = ()
+        self.on_round: Callable[[tuple[Point, ...]], None] | None = None
+        self.is_wanted = True
+        self._points: list[Point] = []
+        self._alarms: set[str] = set()
+        self._begun: int | None = None
+        self._measured = -BROKEN_NS
+        known: dict[str, Any] = {
+            "read_from": ["Measurement"],
+            "stale_s": STALE_S,
+            "source": "RPLIDAR protocol, figure 4-4",
+        }
+        self.add_signal("nearest", unit="m", doc="least distance of the round", **known)
+        self.add_signal("nearest_angle", unit="rad", doc="where that is, clockwise from the front", **known)
+        self.add_signal("points", doc="distances of the round that were measured", **known)
+        self.add_signal("rate", unit="Hz", doc="rounds a second", **known)
+        self.add_signal(
+            "health",
+            read_from=["Health"],
+            stale_s=HEALTH_STALE_S,
+            doc="0 good, 1 warning, 2 error; asked before each scan",
+            source="RPLIDAR protocol, figure 4-18",
+        )
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """Time of a round at the usual speed of the motor; None while it is paused."""
+        return 0.2 if self.is_wanted else None
+
+    def start(self) -> Job:
+        """Begin the scan, and see that it goes on."""
+        return self.job("scan", self._watch)
+
+    def _watch(self, job: Job) -> Steps:
+        while True:
+            if self.is_wanted and self.clock.now() - self._measured >= BROKEN_NS:
+                with suppress(NoReplyError):  # that it is silent, its host says
+                    yield from self._begin()
+            yield round(AGAIN_S * 1e9)
+
+    def _begin(self) -> Steps:
+        """Yield steps that begin a scan, if the scanner is well."""
+        yield self.send("Stop")
+        if self.settings.motor_duty is not None:
+            yield self.send("SetMotor", duty=self.settings.motor_duty)
+        health = yield self.ask("GetHealth", reply="Health", timeout_s=ANSWER_S)
+        if health is not None and health.status != "error":
+            yield self.ask("Scan", reply="ScanStarted", timeout_s=ANSWER_S)
+
+    def received(self, record: Any, instant: int) -> None:
+        """Gather the points of a round; take the health."""
+        name = type(record).__name__
+        if name == "Health" and record.status in HEALTH:
+            self.signals[f"{self.name}.health"].update(HEALTH.index(record.status), instant)
+            alarms = {record.status} - {"good"}
+            self.emit_alarms(alarms, self._alarms)
+            self._alarms = alarms
+        if name != "Measurement":
+            return
+        self._measured = instant
+        if record.turn == "begins":
+            self._ended(instant)
+        if record.distance and self._begun is not None:
+            self._points.append(Point(math.radians(record.angle), record.distance / 1000, record.quality))
+
+    def _ended(self, instant: int) -> None:
+        """Take a round that is over, and begin the next."""
+        begun, self._begun = self._begun, instant
+        points, self._points = tuple(self._points), []
+        if begun is None:
+            return  # the first one may have begun before we listened
+        self.round = points
+        values: dict[str, float | None] = {"points": len(points), "rate": 1e9 / max(1, instant - begun)}
+        nearest = min(points, key=lambda point: point.distance, default=None)
+        values["nearest"] = None if nearest is None else nearest.distance
+        values["nearest_angle"] = None if nearest is None else nearest.angle
+        for name, value in values.items():
+            signal = self.signals[f"{self.name}.{name}"]
+            if value is None:
+                signal.forget()
+            else:
+                signal.update(value, instant)
+        if self.on_round is not None:
+            self.on_round(points)
+
+    # ------------------------------------------------------------------ actions
+
+    def info(self) -> Job:
+        """Read {"model": 24, "firmware": "1.15", "hardware": 0, "serial": "64E6…"}."""
+
+        def steps(job: Job) -> Steps:
+            yield self.send("Stop")
+            found = yield self.ask("GetInfo", reply="Info", timeout_s=ANSWER_S)
+            self._measured = -BROKEN_NS
+            return {
+                "model": found.model,
+                "firmware": f"{found.firmware_major}.{found.firmware_minor:02}",
+                "hardware": found.hardware,
+                "serial": found.serial.hex().upper(),
+            }
+
+        return self.job("info", steps)
+
+    def scan(self) -> Job:
+        """Measure, until `pause`."""
+        self.is_wanted = True
+        return self.job("begin scan", lambda job: self._begin())
+
+    def pause(self) -> Ticket:
+        """End the scan, until `scan`."""
+        self.is_wanted = False
+        self._begun, self._points = None, []
+        return self.send("Stop")
+
+    def reset(self) -> Ticket:
+        """Begin as switched on; the scan is begun anew."""
+        self._begun, self._points = None, []
+        return self.send("Reset")
+
+
+EXAMPLE = """
+name = "rplidar"
+rate_hz = 20
+
+[buses]
+line = { link = "serial", protocol = "rplidar", baud = 115_200 }
+
+[devices]
+LIDAR = { driver = "rplidar", bus = "line" }
+"""
+
+driver = Driver(
+    "rplidar",
+    device=Rplidar,
+    twin=RplidarTwin,
+    example=EXAMPLE,
+    doc="SLAMTEC RPLIDAR A1, A2: rounds of distances.",
+    source="SLAMTEC, RPLIDAR Interface Protocol (A1 & A2 rev. 1.1)",
+    settings=described(RplidarSettings),
+)
+
+__all__ = ["EXAMPLE", "Point", "Rplidar", "RplidarSettings", "driver"]
