@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import msgspec
@@ -542,24 +542,32 @@ class TwoScales(Field):
         number = plain_number(value)
         if number is None or not math.isfinite(number):
             raise FieldError(f"{path}: {value!r} is not a number that can be sent")
-        found: list[tuple[float, float, int]] = []
-        is_inside = False
-        for top, (scale, offset) in zip((0, self.half), self.scales, strict=True):
-            part = round((number - offset) / scale)
-            is_inside |= 0 <= part < self.half
-            part = min(max(part, 0), self.half - 1)
-            miss = abs(part * scale + offset - number)
-            is_exact = miss <= 8 * math.ulp(max(abs(number), abs(offset)))
-            found.append((0.0 if is_exact else miss, abs(scale), top + part))
-        if not is_inside:
+        raw = raw_of_two(number, self.half, self.scales)
+        if raw is None:
             raise FieldError(f"{path}: {value!r} {self.unit} is outside {self.span}")
-        return min(found)[2]
+        return raw
 
     @property
     def span(self) -> str:
         """The values that can be sent, in words."""
         ends = [sorted((offset, (self.half - 1) * scale + offset)) for scale, offset in self.scales]
         return " and ".join(f"{low:g}…{high:g} {self.unit}".strip() for low, high in ends)
+
+
+def raw_of_two(value: float, half: int, scales: Sequence[tuple[float, float]]) -> int | None:
+    """Return the raw number that says a finite value best in one of two (scale, offset), of which the highest bit, `half`,
+    chooses; where both say it, in the finer one. None where neither reaches it.
+    """
+    found: list[tuple[float, float, int]] = []
+    is_inside = False
+    for top, (scale, offset) in zip((0, half), scales, strict=True):
+        part = round((value - offset) / scale)
+        is_inside |= 0 <= part < half
+        part = min(max(part, 0), half - 1)
+        miss = abs(part * scale + offset - value)
+        is_exact = miss <= 8 * math.ulp(max(abs(value), abs(offset)))
+        found.append((0.0 if is_exact else miss, abs(scale), top + part))
+    return min(found)[2] if is_inside else None
 
 
 class SignMagnitude(Field):

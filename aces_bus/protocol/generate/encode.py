@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from ..declare.bits import runs_of
-from ..declare.fields import truncated
+from ..declare.fields import raw_of_two, truncated
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
@@ -277,7 +277,7 @@ class _Encoder(FunctionSetup):
                 table = self._bound(f"_numbers_{self.plan.name}_{name}", {v: k for k, v in step.values})
                 text = f"{table}.get({text}, {text})"
             elif isinstance(step, p.ScaleByBit):
-                raise NoEncoder("a quantity of two scales")
+                text = self._of_two(step, text, name)
             elif isinstance(step, p.FlagBits):
                 variable = self._temporary()
                 self.out.lines(
@@ -301,6 +301,21 @@ class _Encoder(FunctionSetup):
                 "    raise Unusual",
             )
         return number
+
+    def _of_two(self, step: p.ScaleByBit, text: str, name: str) -> str:
+        """Return a local name that holds the raw number of a quantity of two scales."""
+        given, raw = self._temporary(), self._temporary()
+        scales = tuple((scale.scale, scale.offset) for scale in step.scales)
+        bound = self._bound(f"_scales_{self.plan.name}_{name}", scales)
+        self.out.lines(
+            f"{given} = {text}",
+            f"if {given}.__class__ is not float and {given}.__class__ is not int or {given} - {given}:",
+            "    raise Unusual",
+            f"{raw} = {self._bound('_raw_of_two', raw_of_two, 'raw_of_two')}({given}, {step.half:#x}, {bound})",
+            f"if {raw} is None:",
+            "    raise Unusual",
+        )
+        return raw
 
     def _unscaled(self, step: p.Scale, text: str, scalar: p.Scalar, name: str) -> str:
         out = self.out

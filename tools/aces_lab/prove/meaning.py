@@ -213,7 +213,7 @@ class Reader:
         return text if con.size is None else text.rstrip("\0")
 
     def _field(self, con: f.Field, context: c.Container) -> Any:
-        if not isinstance(con, f.Quantity | f.SignMagnitude | f.Enumeration | f.Flags | f.Counter):
+        if not isinstance(con, f.Quantity | f.TwoScales | f.SignMagnitude | f.Enumeration | f.Flags | f.Counter):
             raise NotProvable(f"{type(con).__name__} is a field of its own kind")
         return field_value(con, self.read(con.subcon, context), raw=self.raw)
 
@@ -379,6 +379,11 @@ def field_value(field: f.Field, number: Any, *, raw: bool) -> Any:
         )
     if isinstance(field, f.Flags):
         return SymbolicFlags(number, field.names) if type(number) is SymbolicInt else number
+    if isinstance(field, f.TwoScales):
+        (scale, offset), (other_scale, other_offset) = field.scales
+        if number < field.half:
+            return number * scale + offset
+        return (number - field.half) * other_scale + other_offset
     if not isinstance(field, f.Quantity):
         raise NotProvable(f"{type(field).__name__} is a field of its own kind")
     if len(field.unknown) and is_value_of(number, field.unknown):

@@ -396,10 +396,15 @@ def _opens(sync: bytes, data: bytes) -> bool:
 
 
 def other_byte(framings: Sequence[Framing]) -> int:
-    """Return a byte that plays no part in marks, sizes and matches."""
+    """Return a byte that plays no part in marks, sizes and matches; where all do, one with which no packet begins."""
     used = {*b"".join(f.sync + f.end + f.not_inside for f in framings)}
-    used |= {byte for f in framings for _, numbers in f.match if len(numbers) < 200 for byte in numbers}
-    return next(byte for byte in range(0x5A, 0x15A) if byte & 0xFF not in used) & 0xFF
+    matched = [(head, numbers) for f in framings for head, numbers in f.match if len(numbers) < 200]
+    beginning = {byte for head, numbers in matched if not head.offset for byte in numbers}
+    for taken in (used.union(*(numbers for _, numbers in matched)), used | beginning):
+        for byte in range(0x5A, 0x15A):
+            if byte & 0xFF not in taken:
+                return byte & 0xFF
+    raise NotProvable("packets begin with any byte")
 
 
 def stream_pieces(scanner: stream.StreamScanner) -> list[bytes]:
