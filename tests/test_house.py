@@ -17,7 +17,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
         "e-stops, stops through the lock, parking, measured limits; formats left for the lab; the language of issue 30",
     ),
     "statements of the kernel": (
-        10_020,
+        10_050,
         "nodes answer what readers ask; fields by bits; names of any kind in errors; two scales, payloads from the header;"
         " packets that come by two transports; answers without a head",
     ),
