@@ -213,7 +213,9 @@ class Reader:
         return text if con.size is None else text.rstrip("\0")
 
     def _field(self, con: f.Field, context: c.Container) -> Any:
-        if not isinstance(con, f.Quantity | f.TwoScales | f.SignMagnitude | f.Enumeration | f.Flags | f.Counter):
+        if not isinstance(
+            con, f.Quantity | f.TwoScales | f.SignMagnitude | f.Enumeration | f.Flags | f.Counter
+        ):
             raise NotProvable(f"{type(con).__name__} is a field of its own kind")
         return field_value(con, self.read(con.subcon, context), raw=self.raw)
 
