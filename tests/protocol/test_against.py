@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from construct import Array as ArrayOf
 from construct import (
     Byte,
     Bytes,
@@ -22,6 +23,7 @@ from construct import (
     Int16ul,
     Int32ul,
     Struct,
+    this,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -231,6 +233,31 @@ def test_a_long_gap_that_changes() -> None:
     (found,) = (one for one in held(stream, b"".join(packets)) if one.level != "note")
     assert (found.rule, found.total) == ("gap", 100)
     assert "16.0" in found.text
+
+
+def test_a_size_of_groups_that_nothing_is_read_by() -> None:
+    """It is the width of a group in every message: the next firmware's may be more."""
+
+    def declared(name: str, *more: Any) -> Protocol:
+        stream = Protocol("sized", link="serial")
+        framing = stream.framing(
+            sync=b"\xa5", header=Struct("length" / Byte), size=this.length + 2, max_size=64
+        )
+        group = Struct("a" / Byte, "b" / Int16ul, *more)
+        payload = Struct("count" / Byte, "group_size" / Byte, "groups" / ArrayOf(this.count, group))
+        stream.message(name, framing=framing, payload=payload)
+        return stream
+
+    packets = [
+        bytes([0xA5, 2 + 3 * (1 + n % 3), 1 + n % 3, 3]) + bytes([n % 251, n % 7, 0] * (1 + n % 3))
+        for n in range(60)
+    ]
+    (found,) = (one for one in held(declared("M"), b"".join(packets)) if one.level != "note")
+    assert (found.rule, found.remedy) == (
+        "size",
+        "end each with what it has beyond: Bytes(this._.group_size - 3)",
+    )
+    assert rules(held(declared("M", "more" / Bytes(this._.group_size - 3)), b"".join(packets))) == []
 
 
 def test_texts_with_control_characters() -> None:

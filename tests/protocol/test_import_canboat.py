@@ -253,6 +253,34 @@ def test_a_fast_packet_may_come_by_the_transport_of_iso_11783() -> None:
         columns_agree(boat().protocol.variant(), None, scene)
 
 
+def test_a_packet_to_one_address_is_put_together_with_what_steers_it() -> None:
+    """Request to send, clear to send, data, one of it again, end of message: in protocols of the table as by hand."""
+    (wide,) = boat().protocol.scanner().feed(packet("wide", latitude=48.5, satellites=7, date=20_000))
+    data, group = wide.meta.raw, (126999).to_bytes(3, "little")
+    to, back = 0x18EC0709, 0x18EC0907
+    pieces = [bytes([n + 1]) + data[7 * n : 7 * n + 7].ljust(7, b"\xff") for n in range(2)]
+    frames = [
+        (to, bytes([16, 11, 0, 2, 1, *group])),
+        (back, bytes([17, 1, 1, 255, 255, *group])),
+        (0x18EB0709, pieces[0]),
+        (back, bytes([17, 1, 2, 255, 255, *group])),
+        (0x18EB0709, pieces[0]),
+        (0x18EB0709, pieces[1]),
+        (back, bytes([19, 11, 0, 2, 255, *group])),
+    ]
+    traffic = tuple(Frame(key, one, 0.01 * n, is_extended_id=True) for n, (key, one) in enumerate(frames))
+    scanner = boat().protocol.scanner()
+    (record,) = scanner.feed(traffic)
+    assert (type(record).__name__, record.source, record.meta.raw) == ("wide", 9, data)
+    assert scanner.counts.reasons == {
+        "control: clear to send": 2,
+        "control: end of message": 1,
+        "malformed: repeated": 1,
+    }
+    ORACLE(boat().protocol.variant(), None, Scene(traffic))
+    columns_agree(boat().protocol.variant(), None, Scene(traffic))
+
+
 def test_what_is_too_long_for_a_fast_packet_goes_by_iso_11783() -> None:
     """And a group that is never a fast packet, both ways."""
     groups = [{"prn": n % 250, "used": "Yes", "snr": 30.5} for n in range(100)]

@@ -14,10 +14,13 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from construct import Array as ArrayOf
+from construct import GreedyRange
 
 from ..columns.table import Array, Column, MessageTable
 from ..declare.fields import Counter, text_until
 from ..declare.message import Message
+from ..declare.normalise import sizes
 from ..lint.finding import Level
 from ..plan import nodes as p
 from .bit_order import BitOrder
@@ -33,6 +36,8 @@ AGAIN, SHARE = 3, 0.02
 #: Messages from which on it means something that a field never changes.
 ENOUGH = 20
 
+#: Names of fields that say how long something is.
+_SIZE = re.compile(r"size|len", re.IGNORECASE)
 #: Characters that no text has: control characters, but for tabs and ends of lines.
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
 
@@ -408,6 +413,7 @@ class MessageWatch:
                 first=self.first,
                 remedy='order="msb" in its BitLayout, or without it "lsb"',
             )
+        yield from self._of_group_sizes()
         outer = self.message.outer_names
         still = [
             field
@@ -428,6 +434,30 @@ class MessageWatch:
             yield self._note(
                 "unseen", f"never there in {self.total} messages: {shown}", "check what selects them"
             )
+
+    def _of_group_sizes(self) -> Iterator[Observation]:
+        """Yield fields that say how long the groups of a list are, and by which they are not read: later ones may be
+        longer.
+        """
+        watched = {field.leaf.path: field for field in self.fields if _SIZE.search(field.leaf.path)}
+        for item in _items_of(self.message) if watched else ():
+            body = getattr(item, "subcon", item)
+            if not isinstance(body, (ArrayOf, GreedyRange)) or isinstance(getattr(body, "count", None), int):
+                continue
+            least, most = sizes(body.subcon)
+            for name, field in watched.items():
+                if field.never_changes and field.value == least == most and f"['{name}']" not in repr(body):
+                    yield Observation(
+                        "warning",
+                        "size",
+                        self.message.place.of_field(name),
+                        f"{self.message.name}.{name} is {field.value} in all {field.total} messages, the bytes of each of"
+                        f" {item.name}, which are read without it",
+                        self.message.name,
+                        total=field.total,
+                        first=self.first,
+                        remedy=f"end each with what it has beyond: Bytes(this._.{name} - {field.value})",
+                    )
 
     def _note(self, rule: str, text: str, remedy: str) -> Observation:
         message = self.message
