@@ -79,6 +79,9 @@ class Context:
         #: By request, the answers without a mark that hang on it; and the latest of these requests, with its name.
         self._unmarked: dict[str, list[tuple[Message, RequestLink]]] = {}
         self._last: tuple[str, Entry] | None = None
+        #: What `awaited` has said last, and of when.
+        self._awaited: Sequence[tuple[Message, Mapping[str, Any]]] = ()
+        self._awaited_at: tuple[int, bool, float | None] | None = None
         #: Messages to note; and those that need no request to be recognised, but use one up: give them to `of`.
         self.requests, self.answers = request_names(messages, names)
         for message in messages:
@@ -108,7 +111,7 @@ class Context:
         self._seen.clear()
         self.noted.clear()
         self._count = 0
-        self._last = None
+        self._last = self._awaited_at = None
 
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
         """Note that a request has passed."""
@@ -145,13 +148,17 @@ class Context:
         if self._last is None:
             return ()
         name, entry = self._last
-        return [
-            (message, entry.values)
-            for message, link in self._unmarked[name]
-            if (link.is_sticky or not entry.consumed)
-            and link.request.accepts(entry.values)
-            and (None in (message.within, time, entry.time) or time - entry.time <= message.within)  # type: ignore[operator]
-        ]
+        now = (entry.number, entry.consumed, time)
+        if now != self._awaited_at:  # it is asked of each such framing at each byte
+            self._awaited_at = now
+            self._awaited = [
+                (message, entry.values)
+                for message, link in self._unmarked[name]
+                if (link.is_sticky or not entry.consumed)
+                and link.request.accepts(entry.values)
+                and (None in (message.within, time, entry.time) or time - entry.time <= message.within)  # type: ignore[operator]
+            ]
+        return self._awaited
 
     def requests_of(self, name: str) -> frozenset[str]:
         """Return the names of the requests that this message may hang on."""

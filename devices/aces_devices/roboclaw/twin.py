@@ -183,7 +183,7 @@ class RoboclawTwin(Twin):
         if name in self.kept:
             return self.kept[name]
         kind, _, motor = name.partition("M") if name[-2:] in ("M1", "M2") else (name, "", "")
-        places = {motor: round(shaft.position(now)) for motor, shaft in self.shafts.items()}
+        places = {motor: _counted(shaft.position(now)) for motor, shaft in self.shafts.items()}
         speeds = {motor: round(shaft.wanted_at(now)) for motor, shaft in self.shafts.items()}
         duties = {motor: self._duty_of(motor) for motor in self.shafts}
         if motor:
@@ -277,6 +277,11 @@ class RoboclawTwin(Twin):
         self._mixed = drive, turn
         for motor, duty in ((1, drive + turn), (2, drive - turn)):
             self._drive(motor, duty=max(-1.0, min(1.0, duty)))
+
+
+def _counted(position: float) -> int:
+    """Return what a counter of 32 bits says, which goes on at its other end."""
+    return (round(position) + (1 << 31)) % (1 << 32) - (1 << 31)
 
 
 #: What a field that has the name of its motor alone is.

@@ -203,6 +203,10 @@ class DeviceTester(BusEndpoint[_Ear]):
         #: After so long a silence a receiver gives up what is incomplete.
         framings = [m.framing for m in variant.messages.values() if m.framing is not None]
         self._gap_ns = round(1.25e9 * max((framing.gap or 0.0 for framing in framings), default=0.0))
+        #: Whether one is asked at a time: on a half-duplex line, and where only the latest request says what an answer is.
+        self._takes_turns = self._end.half_duplex or any(
+            message.request_fields for message in variant.messages.values() if message.framing is not None
+        )
 
     # ------------------------------------------------------------------ what comes
 
@@ -298,11 +302,14 @@ class DeviceTester(BusEndpoint[_Ear]):
         return SentStep(packet, self.clock.now() - began, how)
 
     def _await_quiet(self) -> None:
-        """Wait, on a half-duplex line, until nothing was on it for a moment, and for the silence that may end a packet."""
-        if not self._end.half_duplex:
+        """Wait, where one speaks at a time, until nothing was on the line for a moment, and for the silence that may end a
+        packet."""
+        if not self._takes_turns:
             return
         end = self.clock.now() + BUSY_NS
         quiet = max(QUIET_NS, self._end.wire_ns(bytes(4)), self._silence_ns * 5 // 4)
+        if not self._end.half_duplex:
+            quiet = max(quiet, self._gap_ns)  # the device has given up what is incomplete, too
         while (now := self.clock.now()) < end:
             left = max(self._sent_ns, self._received_ns, self.line_free_at()) + quiet - now
             if left <= 0:
