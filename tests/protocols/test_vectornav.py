@@ -42,6 +42,9 @@ NAMES = ("common", "time", "imu", "gps", "attitude", "ins", "gps2")
 #: The frame of example case 1 (§4.3.7).
 CASE_1 = bytes.fromhex("FA 01 08 00 93 50 2E 42 83 3E F1 3F 48 B5 04 BB 92 88")
 
+#: The frame that the vendor's C library passes to itself (vnproglib 1.1, c/examples/uart_protocol): time and angles.
+VENDOR = bytes.fromhex("FA 01 09 00 70 05 00 03 0A 00 00 00 48 0E 2C 42 08 4C 37 C1 10 38 8B C2 D4 CB")
+
 
 def crc(data: bytes) -> int:
     """The manual's CRC (§3.5): CCITT, begun with 0, over all behind the sync byte."""
@@ -135,6 +138,14 @@ def test_the_manual_s_frame() -> None:
     assert vectornav.encode("Binary", groups=["common"], common=8, common_ypr=record.common_ypr) == CASE_1
     second = bytes.fromhex("FA 05 08 00 01 00 A4 15 02 42 4D DF EB 3F F6 1A 36 BE BF 2D A4 41 A8 3A")
     assert crc(second[1:-2]) != int.from_bytes(second[-2:], "big")
+
+
+def test_the_vendor_s_frame() -> None:
+    """Of the example of vnproglib: time since startup; yaw, pitch and roll."""
+    (record,) = vectornav.scanner().feed(VENDOR)
+    assert decoded(VENDOR) == {(0, 0): (0x0A_0300_0570,), (0, 3): record.common_ypr}
+    assert record.common_time_startup == 0x0A_0300_0570
+    assert record.common_ypr == pytest.approx((43.013947, -11.456062, -69.609497), abs=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])

@@ -231,5 +231,14 @@ _packet(
             "FA 01 08 00 93 50 2E 42 83 3E F1 3F 48 B5 04 BB 92 88",
             {"groups": ["common"], "common": 8, "common_ypr": [43.578686, 1.8847202, -2.0249654e-3]},
         ),
+        (  # vnproglib 1.1, c/examples/uart_protocol
+            "FA 01 09 00 70 05 00 03 0A 00 00 00 48 0E 2C 42 08 4C 37 C1 10 38 8B C2 D4 CB",
+            {
+                "groups": ["common"],
+                "common": 9,
+                "common_time_startup": 0x0A_0300_0570,
+                "common_quaternion": None,
+            },
+        ),
     ],
 )
