@@ -18,7 +18,7 @@ from construct import ConstructError
 
 from ..errors import AcesError
 from ..frames import EXTENDED
-from .declare.ambiguity import needing_context, ordered, request_names, unmarked_answers
+from .declare.ambiguity import framings_in_order, needing_context, ordered, request_names, unmarked_answers
 from .declare.framing import Framing, Verdict
 from .declare.message import REQUESTS, GivenWay, Message, Request
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, frame_image
@@ -522,9 +522,8 @@ class Reference:
         bad = ""
         unclaimed: ReferenceItem | None = None
         for variant, messages, _, context in self.sides:
-            framings = dict.fromkeys(m.framing for m in messages if m.framing is not None)
             answering = {m.framing for m in context.unmarked}
-            for framing in sorted(framings, key=lambda framing: framing not in answering):
+            for framing in framings_in_order(messages, context.unmarked):
                 request = None
                 if framing in answering:
                     awaited = context.awaited(None)

@@ -236,6 +236,17 @@ def unmarked_answers(messages: Iterable[Message], contextual: Collection[str]) -
     ]
 
 
+def framings_in_order(messages: Iterable[Message], unmarked: Collection[Message]) -> list[Framing]:
+    """Return the framings of messages in order of trial: those of answers that only a pending request tells go first, but
+    for those of messages that override such an answer.
+    """
+    framed = [message for message in messages if message.framing is not None]
+    names = {message.name for message in unmarked}
+    first = {message.framing for message in framed if message in unmarked or names & {*message.overrides}}
+    found = dict.fromkeys(message.framing for message in framed if message.framing is not None)
+    return sorted(found, key=lambda framing: framing not in first)
+
+
 def request_names(
     messages: Sequence[Message], contextual: Collection[str]
 ) -> tuple[frozenset[str], frozenset[str]]:

@@ -12,7 +12,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ...compiling import mypyc_attr
-from ..declare.ambiguity import needing_context, ordered, unmarked_answers
+from ..declare.ambiguity import framings_in_order, needing_context, ordered, unmarked_answers
 from ..declare.message import GivenWay, Message
 from ..declare.protocol import Variant
 from ..generate.load import decoders_of, load_source
@@ -70,9 +70,8 @@ class Decider:
         #: Answers that only a pending request tells from other bytes, and their framings.
         self.unmarked = unmarked_answers(self.messages, self.contextual)
         self.answering = frozenset(message.framing for message in self.unmarked)
-        #: The framings of its messages in order of trial: those of such answers go first.
-        framings = dict.fromkeys(m.framing for m in self.messages if m.framing is not None)
-        self.framings = sorted(framings, key=lambda framing: framing not in self.answering)
+        #: The framings of its messages in order of trial.
+        self.framings = framings_in_order(self.messages, self.unmarked)
         self.context = Context(self.messages, self.contextual, variant.protocol.broadcast, self.unmarked)
         #: What `sent` looks for: requests, whichever way this scanner faces.
         self.asked = [m for m in ordered(variant.messages.values()) if m.name in self.context.requests]
