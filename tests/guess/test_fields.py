@@ -189,3 +189,22 @@ def test_pieces_of_a_byte_that_change_together_are_one(low: int) -> None:
     pieces: list[tuple[list[int], Any]] = [(list(range(low)), "little"), (list(range(low, 8)), "little")]
     merged = merged_pieces(Rows(rows), pieces, np.ones(8, bool))
     assert merged == [(list(range(8)), "little")]
+
+
+def test_the_first_byte_is_an_opcode_where_others_hang_on_it() -> None:
+    """As RMD-X has it: in some messages bytes stay 0 that are numbers in others; a rare opcode does no harm."""
+    rows = np.zeros((400, 8), np.uint8)
+    speed, angle = wave(300, 40)[:400], wave(30000, 40)[:400]
+    for number, row in enumerate(rows):
+        code = 0x9A if number % 97 == 5 else (0xA1, 0x9C, 0x92)[number % 3]
+        row[0] = code
+        if code == 0x92:
+            row[4:] = list(int(angle[number]).to_bytes(4, "little", signed=True))
+        elif code != 0x9A:
+            row[2:4] = list(int(speed[number]).to_bytes(2, "little", signed=True))
+            row[4:6] = list(int(-speed[number]).to_bytes(2, "little", signed=True))
+    guesses = fields_of(rows)
+    assert [one.values for one in guesses if one.kind == "multiplexer"] == [(0x92, 0x9C, 0xA1)]
+    assert guesses[0].kind == "multiplexer"
+    at = {one.when for one in guesses if one.start == 32 and one.kind == "number"}
+    assert at == {(0x92,), (0x9C,), (0xA1,)}

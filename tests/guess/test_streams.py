@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import random
+import struct
 from itertools import pairwise
+from math import sin
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from aces_bus.protocol import Check, Cobs, Crc, Fletcher, InvertedSum, Protocol, Slip
+from aces_bus.protocol import Check, Cobs, Crc, Fletcher, InvertedSum, Protocol, Slip, Sum
 from aces_lab.guess import StreamGuess, StreamTraffic, stream_source
+from aces_lab.guess.checked import checked_draft
 
 DICE = random.Random("streams")
 
@@ -262,3 +265,46 @@ def test_a_check_is_as_it_is_written() -> None:
     ]
     for check, text in made:
         assert check_source(check) == text
+
+
+def test_a_check_in_front_of_what_it_covers_is_found() -> None:
+    """As Septentrio has it: sync, check, an identifier of 16 bits, length; the draft loads and decodes it."""
+    crc, data = Crc("CRC16-XMODEM"), b""
+    for number in range(120):
+        code, size = [(4007, 32), (4006 | 1 << 13, 20), (5914, 12), (4027, 40)][number % 4]
+        inner = code.to_bytes(2, "little") + (size + 8).to_bytes(2, "little") + body(size)
+        data += b"$@" + crc.compute(inner).to_bytes(2, "little") + inner
+    guess = guess_of(data)
+    (framing,) = guess.framings
+    assert (framing.sync, framing.is_check_in_front, framing.opcode) == (b"$@", True, (4, 2))
+    assert framing.check is not None
+    assert framing.check.declared == 'Crc("CRC16-XMODEM", order="little", over=slice(4, None))'
+    scanner = drafted(guess).scanner()
+    assert len([*scanner.feed(data), *scanner.close()]) == 120
+    draft = checked_draft(lambda some: stream_source(guess, "draft", [], some), "draft")
+    assert not draft.as_bytes
+    assert not draft.wrong
+
+
+@pytest.mark.parametrize("covers_sync", [False, True])
+def test_a_sum_to_zero_is_the_last_byte(covers_sync: bool) -> None:
+    """Xbus: with its preamble or without; of bytes that all make the sum zero the last one is the check."""
+    data = b""
+    for number in range(100):
+        inner = bytes([0xFF, 0x36, 14, 0, number])
+        inner += b"".join(struct.pack(">f", 3 * sin(number / 20 + axis)) for axis in range(3))
+        data += b"\xfa" + inner + Sum(negated=True).encode(b"\xfa" * covers_sync + inner)
+    guess = guess_of(data)
+    (framing,) = guess.framings
+    assert framing.check is not None
+    assert framing.check.declared == f"Sum(negated=True, over=slice({1 - covers_sync}, -1))"
+    assert guess.decoded == len(data)
+
+
+def test_lines_between_packets_are_a_framing_of_their_own() -> None:
+    """A boot message among binary packets: all bytes are in one or the other."""
+    lines = [f"[INFO] temp {20 + number / 7:.2f} ok\r\n".encode() for number in range(20)]
+    data = b"".join(line + servo(3) for line in lines)
+    guess = guess_of(data)
+    assert sorted(framing.kind for framing in guess.framings) == ["length", "lines"]
+    assert guess.decoded == len(data)

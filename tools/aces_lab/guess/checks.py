@@ -131,9 +131,11 @@ def checks_of(rows: Array, prefix: bytes | Array = b"", *, least_share: float = 
     ).guesses()
 
 
-def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -> list[CheckGuess]:
+def checks_of_packets(
+    packets: Iterable[bytes], *, least_share: float = SHARE, in_front: bool = False
+) -> list[CheckGuess]:
     """Return the checks of packets of any lengths, at the same place from their end, over the bytes from the same
-    start on.
+    start on; with `in_front` those at the same place from their start, over all that is behind.
     """
     known = [packet for packet in dict.fromkeys(packets) if 2 <= len(packet) <= LONGEST]
     # The few shortest ones would bound where what is covered may begin, and may be no packets at all.
@@ -148,7 +150,8 @@ def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -
     for row, packet in zip(data, some, strict=True):
         row[: len(packet)] = np.frombuffer(packet, np.uint8)
     lead = np.zeros((len(some), 0), np.uint8)
-    return _Search(data, lengths, lead, from_end=True, least_share=least_share).guesses()
+    found = _Search(data, lengths, lead, from_end=not in_front, least_share=least_share).guesses()
+    return [check for check in found if not in_front or 0 <= check.offset == check.covers[0][0] - check.size]
 
 
 def _different(lengths: Array, *parts: Array) -> Array:
@@ -428,6 +431,8 @@ class _Search:
             is_named,
             prefix == 0,
             len(places) - prefix,
+            # Of bytes that all make a sum zero, the last one of a packet is the check.
+            place.offset if self.from_end else 0,
             round(entropy_bits(place.own[:, 0])),
             place.offset,
         )
@@ -440,7 +445,7 @@ class _Search:
             return (start, place.offset), *([(behind, None)] if is_all and behind else [])
         runs: list[tuple[int, int | None]] = [(start, place.offset)] if start < place.offset else []
         if is_all and max(start + place.size, behind) < self.least:
-            runs.append((max(start + place.size, behind), self.least))
+            runs.append((max(start + place.size, behind), self.least if self.is_even else None))
         return tuple(runs)
 
 
@@ -463,9 +468,11 @@ def check_source(check: Check) -> str:
     elif isinstance(check, Sum):
         name = "InvertedSum" if check.inverted else name
         shown += [str(check.bytes)] * (check.bytes > 1) + ["negated=True"] * check.negated
+    if check.field is not None:
+        shown.append(f"field={check.field!r}")
     if check.text is not None:
         shown.append(f"text={check.text!r}")
-    elif check.bytes > 1 and check.kind != "fletcher":
+    elif check.field is None and check.bytes > 1 and check.kind != "fletcher":
         shown.append(f'order="{check.order}"')
     if check.over is not None:
         items = ", ".join(map(_over_text, check.over))

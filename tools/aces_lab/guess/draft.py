@@ -42,7 +42,9 @@ _OURS = frozenset(
         *("Slip", "Sum", "TailByte", "Text", "Xor", "bits", "float_bits"),
     )
 )
-_CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
+_CONSTRUCTS = frozenset(
+    ("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Int32ub", "Int32ul", "Struct", "this")
+)
 _WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
 NOTHING: Mapping[str, str] = MappingProxyType({})
 #: Names that `field_name` makes of kinds and places.

@@ -11,11 +11,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
+import construct as construct_library
 import numpy as np
-from construct import Byte, GreedyBytes, Int16ub, Int16ul, Struct, this
+from construct import GreedyBytes, Struct, this
 
 from aces_bus.protocol import Check, Crc, Insert, Protocol
 from aces_bus.protocol.columns.table import Array
+from aces_bus.protocol.declare.checks import Order
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.stuffing import Stuffing
 
@@ -25,7 +27,15 @@ from .sample import Span
 #: Packets of which a check is sought, and the longest stretch of bytes without an end.
 PACKETS, LONGEST = 512, 4096
 
+#: What the field of a check in the header is called.
+CHECK = "check"
+
 Kind = Literal["length", "fixed", "lines", "enclosed", "silence"]
+
+
+def _number_format(size: int, order: Order) -> str:
+    """Return the construct that reads a number."""
+    return "Byte" if size == 1 else f"Int{8 * size}u{order[0]}"
 
 
 class LengthRule(NamedTuple):
@@ -33,7 +43,7 @@ class LengthRule(NamedTuple):
 
     offset: int
     width: int
-    order: Literal["little", "big"]
+    order: Order
     constant: int
 
     def sizes(self, data: Array, starts: Array) -> Array:
@@ -47,7 +57,7 @@ class LengthRule(NamedTuple):
     @property
     def format(self) -> str:
         """The construct that reads the length."""
-        return "Byte" if self.width == 1 else "Int16ub" if self.order == "big" else "Int16ul"
+        return _number_format(self.width, self.order)
 
 
 @dataclass(frozen=True)
@@ -91,6 +101,11 @@ class FramingGuess:
         return self.check is not None or self.written is not None
 
     @property
+    def is_check_in_front(self) -> bool:
+        """True if the check is in the header, in front of what it covers."""
+        return self.check is not None and self.check.offset >= 0
+
+    @property
     def head_end(self) -> int:
         """Bytes up to the end of what is needed to read a packet: sync, length, opcode."""
         ends = [len(self.sync)]
@@ -98,6 +113,8 @@ class FramingGuess:
             return ends[0]
         if self.length is not None:
             ends.append(self.length.offset + self.length.width)
+        if self.check is not None and self.is_check_in_front:
+            ends.append(self.check.offset + self.check.size)
         if self.opcode is not None:
             ends.append(sum(self.opcode))
         return max(ends)
@@ -114,6 +131,9 @@ class FramingGuess:
             elif self.opcode is not None and at == self.opcode[0]:
                 yield "opcode", "Byte" if self.opcode[1] == 1 else "Int16ub"
                 at += self.opcode[1]
+            elif self.check is not None and at == self.check.offset:
+                yield CHECK, _number_format(self.check.size, self.check.check.order)
+                at += self.check.size
             else:
                 yield f"byte_{at}", "Byte"
                 at += 1
@@ -163,6 +183,10 @@ def framing_check(guess: FramingGuess) -> Check | None:
     if found is None:
         return guess.written
     check = found.check
+    if guess.is_check_in_front:
+        made = _with_over(check, [slice(found.covers[0][0], None)])
+        made.field = CHECK
+        return made
     over = [slice(start, stop) for start, stop in found.covers]
     if guess.stuffing is not None and guess.end:
         over = [slice(run.start, (run.stop or 0) - len(guess.end)) for run in over]
@@ -197,8 +221,7 @@ def _with_over(check: Check, over: list[slice]) -> Check:
 
 def declare_framing(protocol: Protocol, guess: FramingGuess, name: str) -> Framing:
     """Return the framing in a protocol, as the draft declares it; raises `SpecError` where the language cannot say it."""
-    constructs = {"Byte": Byte, "Int16ub": Int16ub, "Int16ul": Int16ul}
-    fields = [name / constructs[construct] for name, construct in guess.head_fields()]
+    fields = [name / getattr(construct_library, construct) for name, construct in guess.head_fields()]
     more: dict[str, Any] = {"header": Struct(*fields)} if fields else {}
     if guess.length is not None:
         more["size"] = this.length + guess.length.constant
@@ -271,4 +294,14 @@ def with_check(guess: FramingGuess, packets: Sequence[bytes], least_share: float
         return replace(
             guess, check=check, tail=tail, bits=guess.bits + check.bits, evidence=(*guess.evidence, *words)
         )
+    first = len(guess.sync)
+    for check in (
+        checks_of_packets(packets, least_share=least_share, in_front=True)
+        if first and not guess.stuffing
+        else ()
+    ):
+        if check.offset >= first and check.size in (1, 2, 4):
+            return replace(
+                guess, check=check, bits=guess.bits + check.bits, evidence=(*guess.evidence, check.evidence)
+            )
     return guess

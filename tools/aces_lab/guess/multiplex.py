@@ -19,6 +19,9 @@ NUMBERS, CHANGES = 32, 0.15
 #: A bit is explained that changes in this share of steps from one number to another, and among messages of one number in so
 #: much of that share. So many bits must be, and no more of them may change more often instead.
 OFTEN, LEFT, BITS = 0.1, 0.5, 4
+#: An opcode in the first byte: the share of messages whose opcode occurs often enough, and the share of all bits (in each
+#: kind of message) that never change in their kind, though they do in others.
+USUAL, STILL = 0.9, 0.15
 
 
 def selector_of(sample: Rows, plain: Sequence[FieldGuess]) -> FieldGuess | None:
@@ -31,6 +34,9 @@ def selector_of(sample: Rows, plain: Sequence[FieldGuess]) -> FieldGuess | None:
     explained = np.zeros(8 * sample.size, bool)
     for field in plain:
         explained[list(field.positions)] = True
+    opcode = _opcode(sample, explained)
+    if opcode is not None:
+        return opcode
     best: tuple[float, FieldGuess] | None = None
     for candidate in _candidates(sample, plain, explained):
         others = sample.varies & ~explained
@@ -67,6 +73,31 @@ def selector_of(sample: Rows, plain: Sequence[FieldGuess]) -> FieldGuess | None:
         )
         best = gain, made
     return None if best is None else best[1]
+
+
+def _opcode(sample: Rows, explained: Array) -> FieldGuess | None:
+    """Return the first byte where it says which kind of message it is: kinds follow each other at once, and bits that change
+    in one never do in another. Rare kinds have no fields of their own.
+    """
+    values = sample.bytes[:, 0]
+    numbers, counts = np.unique(values, return_counts=True)
+    usual = numbers[counts >= STEPS]
+    before, after = sample.pairs(values)
+    if (
+        explained[:8].any()
+        or not 2 <= len(usual) <= NUMBERS
+        or counts[counts >= STEPS].sum() < USUAL * len(values)
+        or (before != after).mean() < CHANGES
+    ):
+        return None
+    others = sample.varies & ~explained
+    others[:8] = False
+    bits = sample.bits[:, others]
+    still = np.array([(own == own[0]).all(axis=0) for own in (bits[values == number] for number in usual)])
+    if not STILL <= (still.mean() if still.size else 0) < 1:
+        return None
+    said = f"{len(usual)} values; {still.mean():.0%} of other bits never change in messages of one value, and do in others"
+    return FieldGuess(0, 8, "little", "multiplexer", 0.9, said, values=tuple(usual.tolist()))
 
 
 def _candidates(sample: Rows, plain: Sequence[FieldGuess], explained: Array) -> list[FieldGuess]:

@@ -22,7 +22,7 @@ from aces_bus.protocol.fitting import TRIED_BYTES, FittingProtocol, fitting_prot
 
 from .fields import FieldGuess, fields_of
 from .framing_search import framings_of
-from .framings import FramingGuess, spans_of
+from .framings import FramingGuess, framing_check, spans_of
 from .sample import SAMPLE, Sample, Span
 
 #: Bytes that are looked at.
@@ -31,6 +31,8 @@ KEPT = 1 << 20
 HEAD, EXPLAINED = 8, 32
 #: Different opcodes at most, packets of each on average at least, and bits that an opcode must explain.
 OPCODES, EACH, EXPLAINS_BITS = 64, 3.0, 1.0
+#: Opcodes from which on one may have two bytes, and different bytes behind the first.
+WIDE = 4, 3
 #: Packets of one kind that are looked at.
 ROWS = 8192
 #: Kinds of packets that are drafted, of each framing.
@@ -252,8 +254,13 @@ def _logical(framing: FramingGuess, packets: list[bytes]) -> list[bytes]:
 
 
 def body_end(framing: FramingGuess) -> int:
-    """Return how many bytes at the end of a packet (unstuffed) are not fields: the check, what is behind it, the end."""
-    size = framing.check.size + len(framing.tail) if framing.check is not None else 0
+    """Return how many bytes at the end of a packet (unstuffed) are not fields: the check, what is behind it, the end.
+
+    A check that a framing cannot declare is among the fields.
+    """
+    size = 0
+    if framing.check is not None and not framing.is_check_in_front and framing_check(framing) is not None:
+        size = framing.check.size + len(framing.tail)
     if framing.written is not None:
         size = framing.written.size
     return size + (len(framing.end) if framing.stuffing is None else 0)
@@ -271,14 +278,14 @@ def opcode_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int
         return _word_of(framing, packets)
     first = len(framing.sync)
     least = min(map(len, packets), default=0) - body_end(framing)
-    places = [at for at in range(first, min(first + HEAD, least)) if not _is_length(framing, at)]
+    places = [at for at in range(first, min(first + HEAD, least)) if not _is_known(framing, at)]
     if len(packets) < 8 or not places:
         return None
     some = packets if len(packets) <= ROWS else packets[:: len(packets) // ROWS + 1]
     width = min(least, first + EXPLAINED)
     data = np.array([list(packet[:width]) for packet in some], np.int64)
     sizes = np.array([len(packet) for packet in some], np.int64)
-    columns = [data[:, at] for at in range(first, width) if not _is_length(framing, at)]
+    columns = [data[:, at] for at in range(first, width) if not _is_known(framing, at)]
     # What sizes say counts where there are several: contents differ from device to device, too.
     explained = [] if len(np.unique(sizes)) > 1 else columns
     gains = {
@@ -292,7 +299,15 @@ def opcode_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int
             pair = data[:, start] << 8 | data[:, start + 1]
             if _explained(pair, sizes, []) >= _explained(data[:, at], sizes, []) + EXPLAINS_BITS:
                 return start, 2
+    if at + 1 in places and _is_of_two(data[:, at], data[:, at + 1]):
+        return at, 2
     return at, 1
+
+
+def _is_of_two(codes: Array, behind: Array) -> bool:
+    """Return whether the byte behind an opcode is the rest of it: it changes with it, and never alone."""
+    kinds, pairs = len(np.unique(codes)), len(np.unique(codes << 8 | behind))
+    return pairs == kinds >= WIDE[0] and len(np.unique(behind)) >= WIDE[1]
 
 
 def _settled(codes: Array, sizes: Array) -> float:
@@ -305,9 +320,12 @@ def _settled(codes: Array, sizes: Array) -> float:
     return float((least == most)[kinds].mean())
 
 
-def _is_length(framing: FramingGuess, at: int) -> bool:
-    length = framing.length
-    return length is not None and length.offset <= at < length.offset + length.width
+def _is_known(framing: FramingGuess, at: int) -> bool:
+    """Return whether a byte is of the length, or of a check in the header."""
+    length, check = framing.length, framing.check if framing.is_check_in_front else None
+    return (length is not None and length.offset <= at < length.offset + length.width) or (
+        check is not None and check.offset <= at < check.offset + check.size
+    )
 
 
 def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float:
