@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from aces_bus.protocol import Check, Crc, Fletcher, Sum, Xor
+from aces_lab.guess import fields_of
 from aces_lab.guess.checks import checks_of, checks_of_packets
 
 IDENTIFIER = b"\0\0\x02\x23"
@@ -151,3 +152,31 @@ def test_a_broken_row_in_twenty_is_no_hindrance() -> None:
     (found,) = checks_of(rows)
     assert 0.95 < found.confidence < 1
     assert found.agreeing == found.rows - 5
+
+
+@pytest.mark.parametrize("counts", [15, 16])
+@pytest.mark.parametrize(("name", "is_behind"), [("CRC8-AUTOSAR", True), ("CRC8-SAE-J1850", False)])
+def test_ids_that_a_counter_chooses_are_solved(name: str, is_behind: bool, counts: int) -> None:
+    """AUTOSAR's profile 2 has the id of each count behind the data, profile 1 in front; it is not sent."""
+    ids = np.random.default_rng(5).integers(0, 256, 16).tolist()
+    rows, crc = rows_of(count=300), Crc(name)
+    rows[:, 1] = np.arange(300) % counts
+    for row in rows:
+        data, chosen = row[1:].tobytes(), bytes([ids[row[1]]])
+        row[0] = crc.compute(data + chosen if is_behind else chosen + data)
+    [found] = [field for field in fields_of(rows) if field.kind == "check"]
+    assert (found.start, found.length, found.values) == (0, 8, tuple(ids[:counts]))
+    where = "behind" if is_behind else "in front of"
+    assert found.evidence.startswith(
+        f"{name} of bytes 1 to 7, and {where} them an id that the counter in byte 1"
+    )
+
+
+def test_a_plain_check_and_noise_have_no_ids() -> None:
+    """A check that checks_of finds is as it was; random bytes beside a counter are no check."""
+    plain = sealed(rows_of(), Crc("CRC8-AUTOSAR"), 0)
+    [found] = [field for field in fields_of(plain) if field.kind == "check"]
+    assert found.check is not None
+    noise = rows_of(count=400)
+    noise[:, 0] = np.random.default_rng(2).integers(0, 256, 400)
+    assert [field for field in fields_of(noise) if field.kind == "check"] == []

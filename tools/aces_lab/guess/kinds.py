@@ -13,6 +13,7 @@ from aces_bus._lazy import np
 
 from .checks import checks_of
 from .fields import STEPS, Array, ByteOrder, FieldGuess, FieldKind, Rows, above, positions_of
+from .keyed_checks import keyed_checks
 
 #: Different values from which on something may be said, and from which on of a sign.
 VALUES, SIGNED = 12, 5
@@ -32,12 +33,26 @@ def plain_fields(sample: Rows, rows: Array | None, prefix: bytes | Array) -> lis
     """Find checks, text, counters and floats: fields known without their neighbours. Checks are sought in `rows`."""
     found: list[FieldGuess] = []
     free = np.ones(8 * sample.size, bool)
-    for make in (lambda *_: _checks(rows, prefix), _texts, _counters, _floats):
+    for make in (
+        lambda *_: _checks(rows, prefix),
+        _texts,
+        _counters,
+        lambda *_: _keyed_checks(rows, found),
+        _floats,
+    ):
         for field in make(sample, free):
             if free[list(field.positions)].all():
                 found.append(field)
                 free[list(field.positions)] = False
     return found
+
+
+def _keyed_checks(rows: Array | None, found: list[FieldGuess]) -> Iterator[FieldGuess]:
+    """Yield the check whose id a counter chooses, where there is a counter and no other check."""
+    if rows is None or any(field.kind == "check" for field in found):
+        return
+    for counter in [field for field in found if field.kind == "counter"][:2]:
+        yield from keyed_checks(rows, counter)
 
 
 def _checks(rows: Array | None, prefix: bytes | Array) -> Iterator[FieldGuess]:
