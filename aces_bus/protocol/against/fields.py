@@ -95,9 +95,7 @@ class FieldWatch:
     def __init__(self, message: Message, leaf: p.NodePath) -> None:
         self.message = message
         self.leaf = leaf
-        #: What the field is, where bits say whether it is there.
-        self._known = leaf.node.known or leaf.node
-        self.steps = steps_of(self._known)
+        self.steps = steps_of(leaf.node)
         self.is_unnamed = leaf.node.is_unclaimed
         self.total = 0
         self._first_value: Any = None
@@ -108,11 +106,11 @@ class FieldWatch:
         self._last: dict[int, Any] = {}
         self._beyond = _Found()
         #: Texts with characters that are none.
-        self.is_text = getattr(self._known, "kind", "") == "text"
+        self.is_text = getattr(leaf.node, "kind", "") == "text"
         self._odd = _Found()
         self._least, self._most = np.inf, -np.inf
         self._unnamed: dict[int, _Found] = {}
-        node = self._known
+        node = leaf.node
         scale = node.scale
         self._limits = scale.limits if scale is not None else None
         self._exempt = [*scale.unknown, *(raw for raw, _ in scale.names)] if scale is not None else []
@@ -128,10 +126,6 @@ class FieldWatch:
             values = values[rows]
         if not len(values):
             return
-        if values.dtype == object and self._known.is_number and not self.is_unnamed:
-            # Where bits say whether a field is there, construct has read it.
-            there = np.flatnonzero([isinstance(value, (int, float)) for value in values.tolist()])
-            values, rows = np.array(values[there].tolist()), there if rows is None else rows[there]
         if values.dtype == object:
             self._take_objects(values, rows, table, locate)
             return
@@ -162,7 +156,7 @@ class FieldWatch:
             which = np.array(others, np.int64)
             self._vary.add(which if rows is None else rows[which], table, locate)
         if self.is_text:
-            ends = getattr(self._known, "ends", "")
+            ends = getattr(self.leaf.node, "ends", "")
             odd = [n for n, value in enumerate(values.tolist()) if _CONTROL.search(_text_of(value, ends))]
             which = np.array(odd, np.int64)
             self._odd.add(which if rows is None else rows[which], table, locate)
@@ -172,7 +166,7 @@ class FieldWatch:
             self._changes = any(value != self._first_value for value in values.tolist())
 
     def _judge(self, values: Array, rows: Array | None, table: MessageTable, locate: Locate) -> None:
-        scale = self._known.scale
+        scale = self.leaf.node.scale
         if self._limits is not None and scale is not None:
             low, high = self._limits
             physical = values.astype(np.float64) * scale.scale + scale.offset
@@ -260,7 +254,7 @@ class FieldWatch:
     @property
     def counts_up(self) -> bool:
         """True if the field is a counter that the spec does not name."""
-        node = self._known
+        node = self.leaf.node
         return (
             isinstance(self.steps, IntegerSteps)
             and self.steps.counts_up
@@ -347,7 +341,8 @@ class MessageWatch:
         #: Frames that the recorder received, and that it sent.
         self.received = self.sent = 0
         self.first: Moment | None = None
-        self.fields = [FieldWatch(message, leaf) for leaf in message.plan.leaves]
+        leaves = (message.plan.all_fields or message.plan).leaves
+        self.fields = [FieldWatch(message, leaf) for leaf in leaves]
         self._bit_order = BitOrder(message)
         masks = {getattr(getattr(item, "subcon", item), "selector", None) for item in _items_of(message)}
         outer = message.outer_names - masks
