@@ -11,6 +11,7 @@ from construct import Byte, Const, Int16ub, Int32ub, Struct
 
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Crc, Protocol, Quantity, RequestBytes, Slip, Text
+from aces_bus.protocol.exchange import print_c_source, print_dissector, print_markdown
 from aces_bus.testing import law_tests
 
 ADDRESSES = range(0x80, 0x88)
@@ -150,3 +151,24 @@ def test_what_a_check_over_the_request_needs() -> None:
         made.framing(size=4, check=Crc("CRC16-XMODEM", after_end=True))
     with pytest.raises(FieldError, match="no value given for address"):
         claw().encode("Volts", volts=1.0)
+
+
+def test_exports_say_what_they_leave_out() -> None:
+    """C leaves such answers out, a dissector does not verify their checks; tables of people say what is covered."""
+    variant = claw().variant()
+    left_out = {loss.message: loss.reason for loss in print_c_source(variant).losses}
+    assert {"Count", "Volts", "Version"} <= set(left_out)
+    _, losses = print_dissector(variant)
+    assert sum("the check over the request" in str(loss) for loss in losses) == 3
+    page = print_markdown(variant)
+    assert "CRC16-XMODEM over request and packet, behind the end" in page
+
+
+def test_a_newer_request_does_not_make_an_old_answer_another() -> None:
+    """A bare acknowledgement that comes late is not the beginning of the answer that is awaited now."""
+    made = claw()
+    scanner = made.scanner(direction="from device", include_unknown=True)
+    scanner.sent(made.encode("Drive", address=0x80, duty=1))
+    scanner.sent(made.encode("GetVolts", address=0x80))
+    given = scanner.feed(b"\xff" + made.encode("Volts", address=0x80, volts=3.0))
+    assert told(given) == ["malformed: checksum", "Volts"]

@@ -750,6 +750,14 @@ class Framing:
         return head.number(packet) if head is not None else 0
 
     @property
+    def describe_check(self) -> str:
+        """Kind of check, and where it is not as usual, in words for people; empty without a check."""
+        if self.check is None:
+            return ""
+        over = " over request and packet" if self.covers_request else ""
+        return f"{self.check.describe}{over}{', behind the end' if self.check_behind else ''}"
+
+    @property
     def describe(self) -> list[str]:
         """Beginning and end of packets, in words for people."""
         parts = [f"begin with {self.sync.hex(' ').upper()}"] if self.sync else []

@@ -168,7 +168,7 @@ def marks_of(message: Message) -> list[Mark]:
             marks = [
                 mark for mark in marks if mark.offset != framing.check_at
             ]  # the header field that has it
-            marks.append(Mark(framing.check_at, framing.check.size, f"check: {framing.check.describe}"))
+            marks.append(Mark(framing.check_at, framing.check.size, f"check: {framing.describe_check}"))
         marks += [Mark(i - end, 1, f"end {byte:#04x}") for i, byte in enumerate(framing.end)]
     return marks
 

@@ -239,7 +239,7 @@ def _lengths(message: Message) -> str:
 
 
 def _framing(framing: Framing) -> str:
-    check = f"check: {framing.check.describe}" if framing.check is not None else "no check"
+    check = f"check: {framing.describe_check}" if framing.check is not None else "no check"
     return ", ".join([*framing.describe, check])
 
 
