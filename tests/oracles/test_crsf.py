@@ -189,10 +189,10 @@ def test_frames_as_the_document_lists_them() -> None:
         wanted.append({"speed": up / 100})
         packed, vertical = chance.randrange(1 << 16), chance.randrange(-128, 128)
         metres = (packed & 0x7FFF) if packed & 0x8000 else (packed - 10_000) / 10
-        data += frame(
-            0x09, struct.pack(">H", packed) if chance.random() < 0.3 else struct.pack(">Hb", packed, vertical)
-        )
-        wanted.append({"altitude": metres})
+        forms = [(">H", packed), (">Hb", packed, vertical), (">Hh", packed, up)]
+        form, *numbers = chance.choice(forms)
+        data += frame(0x09, struct.pack(str(form), *numbers))
+        wanted.append({"altitude": metres} | ({"speed": up / 100} if form == ">Hh" else {}))
         turns = [chance.randrange(-(1 << 23), 1 << 23) for _ in range(chance.randrange(1, 20))]
         data += frame(0x0C, b"\x01" + b"".join(turn.to_bytes(3, "big", signed=True) for turn in turns))
         wanted.append({"source": 1, "speeds": pytest.approx(turns)})

@@ -184,7 +184,7 @@ class BaroAltitude(_Typed, frozen=True):
     """above the start; 0xFFFF is not sent, as OpenTX takes it for none (-1000…2276.7 or 0…32767 m)"""
 
 class BaroVario(_Typed, frozen=True):
-    """Barometric height above the start with vertical speed.
+    """Barometric height above the start, with vertical speed in a logarithmic scale.
 
     source: TBS, 0x09
     """
@@ -193,7 +193,17 @@ class BaroVario(_Typed, frozen=True):
     """above the start; 0xFFFF is not sent, as OpenTX takes it for none (-1000…2276.7 or 0…32767 m)"""
     vertical: int
     """vertical speed n: (exp(0.026 × |n|) − 1) m/s, with the sign of n, up is positive"""
-    more: bytes
+
+class BaroSpeed(_Typed, frozen=True):
+    """Barometric height above the start, with vertical speed, up is positive.
+
+    source: crsf-wg
+    """
+    address: Literal["broadcast", "cloud", "usb", "bluetooth", "wifi", "video_receiver", "osd", "esc_1", "esc_2", "esc_3", "esc_4", "esc_5", "esc_6", "esc_7", "esc_8", "current_sensor", "gps", "blackbox", "flight_controller", "race_tag", "vtx", "handset", "receiver", "transmitter"] | int
+    altitude: float
+    """above the start; 0xFFFF is not sent, as OpenTX takes it for none (-1000…2276.7 or 0…32767 m)"""
+    speed: float
+    """-327.68…327.67 m/s"""
 
 class Airspeed(_Typed, frozen=True):
     """Speed through the air.

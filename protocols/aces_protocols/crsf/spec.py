@@ -110,6 +110,10 @@ _frame(
     "power" / Enumeration(Byte, mw_0=0, mw_10=1, mw_25=2, mw_100=3, mw_500=4, mw_1000=5, mw_2000=6, mw_250=7, mw_50=8),
     "downlink_rssi" / _rssi, "downlink_quality" / _percent, "downlink_snr" / _decibel, _more,
     doc="The radio link: up to the craft, down to the ground.",
+    # built by crsf-parser 0.3.2
+    examples=[("C8 0C 14 3C 46 63 0A 00 02 03 41 62 FB 2B", {"uplink_rssi_1": -60, "uplink_rssi_2": -70,
+        "uplink_quality": 99, "uplink_snr": 10, "antenna": 0, "profile": "fps_150", "power": "mw_100", "downlink_rssi": -65,
+        "downlink_quality": 98, "downlink_snr": -5})],
 )  # fmt: skip
 _received = ("rssi" / _rssi, "rssi_percent" / _percent, "quality" / _percent, "snr" / _decibel)
 _power = "power" / Quantity(Byte, unit="dBm")
@@ -158,16 +162,20 @@ _altitude = "altitude" / TwoScales(
 )
 packet("BaroAltitude", match={"type": 0x09, "length": 4}, payload=Struct(_altitude), source="TBS, 0x09; crsf-wg",
     doc="Barometric height above the start: decimetres up to 2276.7 m, metres above.",
-    examples=[("C8 04 09 27 10 B3", {"altitude": 0.0}), ("C8 04 09 7F FF 4F", {"altitude": 2276.7})])  # fmt: skip
+    # the numbers of crsf-wg's page, and the greatest of TBS
+    examples=[("C8 04 09 27 74 74", {"altitude": 10.0}), ("C8 04 09 26 AC 76", {"altitude": -10.0}),
+        ("C8 04 09 7F FF 4F", {"altitude": 2276.7})])  # fmt: skip
 packet(
-    "BaroVario", match={"type": 0x09, "length": range(5, LONGEST - 1)}, source="TBS, 0x09",
+    "BaroVario", match={"type": 0x09, "length": 5}, source="TBS, 0x09",
     payload=Struct(
         _altitude,
         "vertical" / Int8sb * "vertical speed n: (exp(0.026 × |n|) − 1) m/s, with the sign of n, up is positive",
-        _more,
     ),
-    doc="Barometric height above the start with vertical speed.",
+    doc="Barometric height above the start, with vertical speed in a logarithmic scale.",
 )  # fmt: skip
+packet("BaroSpeed", match={"type": 0x09, "length": 6}, payload=Struct(_altitude, "speed" / _cm_s), source="crsf-wg",
+    doc="Barometric height above the start, with vertical speed, up is positive.",
+    examples=[("C8 06 09 27 74 00 96 AA", {"altitude": 10.0, "speed": 1.5})])  # fmt: skip
 _frame(
     "Airspeed", 0x0A, "speed" / Quantity(Int16ub, unit="km/h", scale=0.1), _more, doc="Speed through the air."
 )
@@ -197,11 +205,16 @@ _frame("FlightMode", 0x21, _text("mode"), doc="Name of the flight mode; `*` at i
 # ---------------------------------------------------------------------- between devices: destination and origin
 
 _addressed("PingDevices", match={"type": 0x28}, source="TBS, 0x28",
-    doc="Ask a device, or all (destination broadcast), who it is.")  # fmt: skip
+    doc="Ask a device, or all (destination broadcast), who it is.",
+    examples=[("C8 04 28 00 EA 54", {"destination": "broadcast", "origin": "handset"})])  # fmt: skip
 _addressed(
     "DeviceInfo", match={"type": 0x29}, source="TBS, 0x29", doc="A device's answer to PingDevices.",
     payload=Struct(_text("name"), "serial" / Int32ub, "hardware" / Int32ub, "firmware" / Int32ub, "parameters" / Byte,
         "parameter_version" / Byte),
+    # crsf-wg
+    examples=[("C8 1C 29 EA EE 53 49 59 49 20 46 4D 33 30 00 45 4C 52 53 00 00 00 00 00 00 00 00 13 00 CA", {
+        "destination": "handset", "origin": "transmitter", "name": "SIYI FM30", "serial": 0x454C5253, "hardware": 0,
+        "firmware": 0, "parameters": 19, "parameter_version": 0})],
 )  # fmt: skip
 _addressed("ParameterEntry", match={"type": 0x2B}, source="TBS, 0x2B", doc="Part of a parameter: value, limits, texts.",
     payload=Struct("parameter" / Byte, "chunks_left" / Byte, "data" / GreedyBytes))  # fmt: skip
