@@ -12,6 +12,7 @@ from construct import Byte, Const, Int16ub, Int32ub, Struct
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Crc, Protocol, Quantity, RequestBytes, Slip, Text
 from aces_bus.protocol.exchange import print_c_source, print_dissector, print_markdown
+from aces_bus.protocol.lint import check_protocol
 from aces_bus.testing import law_tests
 
 ADDRESSES = range(0x80, 0x88)
@@ -151,6 +152,16 @@ def test_what_a_check_over_the_request_needs() -> None:
         made.framing(size=4, check=Crc("CRC16-XMODEM", after_end=True))
     with pytest.raises(FieldError, match="no value given for address"):
         claw().encode("Volts", volts=1.0)
+
+
+def test_a_framing_that_holds_back_others_is_found() -> None:
+    """Without marks and without requests its packets may begin anywhere; with requests they do not."""
+    made = Protocol("held", link="serial")
+    made.framing(name="marked", sync=b"$", size=3)("Marked", payload=Struct("x" / Int16ub))
+    made.framing(name="bare", size=4)("Bare", overrides="Marked", payload=Struct("x" / Int32ub))
+    (found,) = [finding for finding in check_protocol(made) if finding.rule == "waits"]
+    assert "any byte may begin its packets" in found.text
+    assert [finding for finding in check_protocol(claw()) if finding.rule == "waits"] == []
 
 
 def test_exports_say_what_they_leave_out() -> None:

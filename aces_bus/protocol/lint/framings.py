@@ -21,6 +21,8 @@ def check_framings(protocol: Protocol) -> Iterator[Finding]:
         messages = [m for m in protocol.declared if m.framing is framing]
         yield from _sizes(framing)
         yield from _gap(framing)
+        if len(protocol.framings) > 1:
+            yield from _waits(framing, messages)
         if framing.check is not None:
             yield from _framing_check(framing, framing.check, messages)
         elif protocol.link != "can" and not any(m.check is not None for m in messages):
@@ -139,6 +141,21 @@ def _gap(framing: Framing) -> Iterator[Finding]:
             "gap",
             "has no gap= (seconds): a packet that was cut off holds what follows it until"
             f" {framing.max_size} bytes have come",
+        )
+
+
+def _waits(framing: Framing, messages: list[Message]) -> Iterator[Finding]:
+    """Yield whether any byte may begin a packet for which other framings have to wait."""
+    if framing.sync or framing.match or framing.is_silent or framing.end:
+        return
+    unasked = [message.name for message in messages if not (message.reply_to or message.after)]
+    if unasked and framing.max_size > 1:
+        yield _of(
+            framing,
+            "note",
+            "waits",
+            f"has neither sync= nor match=, and {unasked[0]} no reply_to=: any byte may begin its packets, so what"
+            f" other framings read waits until {framing.max_size} bytes or a pause have come",
         )
 
 
