@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from aces_bus.errors import CallerError, CaptureError
-from aces_lab.guess import MeasuredQuantity, read_quantity
+from aces_bus.protocol import Xor
+from aces_lab.guess import MeasuredQuantity, StreamTraffic, read_quantity, stream_source
 from aces_lab.guess.reference import Messages, followers, on_clock
 from tests.bench.guess_reference import TWINS, drawn, score, twin_guess
 
@@ -157,3 +159,32 @@ def test_a_column_of_instants_can_be_named(tmp_path: Path) -> None:
     path = table(tmp_path, "when,v\n1,5\n2,6\n")
     quantity = read_quantity(f"{path}:v", time="when")
     assert quantity.times_s.tolist() == [1, 2]
+
+
+def test_the_field_of_a_stream_is_found_in_its_packet() -> None:
+    """By the times of packets; the draft has it there, with its unit and scale."""
+    times, values = swing()
+    traffic = StreamTraffic()
+    for number, (time, value) in enumerate(zip(times.tolist(), values.tolist(), strict=True)):
+        inner = struct.pack("<BBhB", 7 + number % 2, number & 255, round(500 * value), number * 7 & 255)
+        traffic.add(b"\xa5\x5a" + inner + Xor().encode(inner), time)
+    guess = traffic.guess(known=False, quantity=MeasuredQuantity("angle", "rad", times, values))
+    assert guess.reference is not None
+    assert guess.reference.found is not None
+    assert guess.reference.found.scale == 0.002
+    assert '"angle" / Quantity(bits(16' in stream_source(guess)
+    untimed = StreamTraffic()
+    untimed.add(b"".join(b"\xa5\x5a" + bytes([number, number * 3 & 255]) for number in range(99)))
+    with pytest.raises(CallerError, match="with times"):
+        untimed.guess(known=False, quantity=MeasuredQuantity("angle", "rad", times, values))
+
+
+def test_a_slow_number_without_noise_has_its_lowest_bits() -> None:
+    """The quantity cannot tell, as they drown in its noise: they make the number smoother."""
+    times = np.arange(4000) / 200
+    raw = np.round(20000 + 9000 * np.sin(times / 5)).astype(">u2")
+    rows = np.zeros((len(times), 8), np.uint8)
+    rows[:, 2:4] = raw.view(np.uint8).reshape(-1, 2)
+    noisy = 0.01 * raw + np.random.default_rng(3).normal(0, 0.5, len(times))
+    [found] = followers([Messages(0, times, rows)], MeasuredQuantity("speed", "m/s", times, noisy))
+    assert (found.field.start, found.field.order, found.scale) == (24, "big", 0.01)

@@ -130,7 +130,7 @@ def test_a_reference_names_its_field_in_the_draft(aces: Aces, drive: Path, tmp_p
     assert decoded.summary["decoded"] == 340
     assert aces("spec", "check", draft, "--for", "0", "--against", drive).status == 0
     found = json.loads(aces("spec", "guess", drive, "--reference", f"{measured}:speed", "--json").out)
-    assert found["reference"]["guesses"][0]["identifier"] == 0x123
+    assert found["reference"]["guesses"][0]["message"] == "123"
 
 
 def test_a_reference_that_nothing_follows_is_said(aces: Aces, drive: Path, tmp_path: Path) -> None:

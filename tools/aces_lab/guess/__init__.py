@@ -16,10 +16,10 @@ from .framings import FramingGuess, LengthRule
 from .nodes import NodeGuess
 from .pairs import PairGuess
 from .protocols import ProtocolGuess
-from .reference import MeasuredQuantity, ReferenceGuess
+from .reference import MeasuredQuantity, ReferenceGuess, ReferenceGuesses
 from .reference_file import read_quantity
 from .streams import PacketGuess, StreamGuess, StreamTraffic
-from .traffic import MessageGuess, ReferenceGuesses, TimingGuess, Traffic, TrafficGuess
+from .traffic import MessageGuess, TimingGuess, Traffic, TrafficGuess
 
 __all__ = [
     "CarriedGuess",

@@ -18,7 +18,8 @@ from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 
 from .fields import FieldGuess
-from .traffic import MessageGuess, ReferenceGuesses, TrafficGuess
+from .reference import ReferenceGuesses
+from .traffic import MessageGuess, TrafficGuess
 
 TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here on."""'
 #: Columns of a comment, and of a field.
@@ -176,7 +177,7 @@ def reference_said(reference: ReferenceGuesses) -> Iterator[str]:
     yield f"{name}, {len(reference.quantity.values):,} instants {clock}, {verdict}."
     for guess in reference.guesses:
         field = guess.field
-        yield f"{_shown(guess.key[0])} bits {place_text(field)}, {integer_text(field)}: {field.evidence}"
+        yield f"{guess.shown} bits {place_text(field)}, {integer_text(field)}: {field.evidence}"
 
 
 def place_text(field: FieldGuess) -> str:

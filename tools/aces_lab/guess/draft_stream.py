@@ -11,7 +11,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from .checks import check_source
-from .draft import NOTHING, TITLE, data_lines, imports_of, own_name, payload_lines, plain, wrapped
+from .draft import (
+    NOTHING,
+    TITLE,
+    data_lines,
+    imports_of,
+    own_name,
+    payload_lines,
+    plain,
+    reference_said,
+    wrapped,
+)
 from .fields import FieldGuess
 from .framings import FramingGuess, framing_check
 from .streams import PacketGuess, StreamGuess, body_end
@@ -26,6 +36,8 @@ def stream_source(
     said = [f"Guessed from {guess.kept:,} bytes" + "".join(f", {file}" for file in files) + "."]
     said.append(f"{guess.decoded:,} of them are in packets; the rest is unknown.")
 
+    if guess.reference is not None:
+        said += reference_said(guess.reference)
     own = own_name(name)
     body: list[str] = []
     for number, framing in enumerate(guess.framings):

@@ -18,12 +18,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from aces_bus.errors import CallerError
+
 from .boundaries import FOR, bits_in, edge_scores
 from .fields import Array, ByteOrder, FieldGuess, Measured, Rows, above
 
 #: Delays that are tried (s): so late or early where nothing else is said, first and then in such steps.
 LATEST, STEP = 0.6, 0.04
 FINE_STEPS = np.arange(-0.04, 0.0405, 0.001)
+#: The share of the time that quantity and recording have in common that a delay may be of.
+OF_BOTH = 0.25
 #: Messages of one identifier that are looked at, first and then; identifiers that are looked at closely.
 ROWS, FINE_ROWS, CLOSELY = 1024, 16384, 6
 #: Messages that a line is drawn through at least, and instants of the reference while they came.
@@ -42,6 +46,8 @@ TIES, TIES_OF_ALL = 0.01, 20
 STRANGERS, FAR = 0.1, 4.0
 #: What a bit below a number may have against it (nats, `boundaries.edge_scores`).
 AGAINST = -4.5
+#: A bit below it is a number's where it makes the mean square of second differences smaller than this share.
+SMOOTHER = 0.9
 #: The lower of two bits of a number does not change more rarely than the upper one, by this share of it.
 RARELY = 0.5
 #: Standard errors by which a scale and an offset may be rounded, and the share of a scale at most.
@@ -62,11 +68,12 @@ class MeasuredQuantity(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """Messages of one kind: what tells them apart, instants (s, on the quantity's clock), and bytes (n, size)."""
+    """Messages of one kind: what tells them apart, instants (s), bytes (n, size), and the kind in words."""
 
     key: Any
     times_s: Array
     rows: Array
+    shown: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,6 +93,7 @@ class ReferenceGuess:
     residual: float
     scale_error: float
     messages: int
+    shown: str = ""
 
     @property
     def is_found(self) -> bool:
@@ -93,10 +101,59 @@ class ReferenceGuess:
         return self.explained >= FOUND
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the guess in JSON's kinds, without its key."""
+        """Return the guess in JSON's kinds; `message` is the kind of messages in words."""
         names = ("scale", "scale_error", "offset", "delay_s", "explained", "residual", "messages")
         bits = {name: getattr(self.field, name) for name in ("start", "length", "order", "signed")}
-        return {**bits, **{name: getattr(self, name) for name in names}}
+        return {"message": self.shown, **bits, **{name: getattr(self, name) for name in names}}
+
+
+@dataclass(frozen=True)
+class ReferenceGuesses:
+    """A quantity, and the fields that follow it, best first; their keys are those of their messages."""
+
+    quantity: MeasuredQuantity
+    #: True if its instants are of the recording's clock; otherwise both were taken to begin together.
+    is_same_clock: bool
+    guesses: tuple[ReferenceGuess, ...]
+
+    @property
+    def found(self) -> ReferenceGuess | None:
+        """The field that the quantity is; None where none explains enough of it."""
+        return self.guesses[0] if self.guesses and self.guesses[0].is_found else None
+
+    def fields_of(self, keys: Iterable[Any]) -> tuple[FieldGuess, ...]:
+        """Return the field that was found, if it is of messages with one of these keys."""
+        found = self.found
+        return () if found is None or found.key not in keys else (found.field,)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it in JSON's kinds."""
+        return {
+            "name": self.quantity.name,
+            "unit": self.quantity.unit,
+            "same_clock": self.is_same_clock,
+            "found": self.found is not None,
+            "guesses": [guess.as_dict() for guess in self.guesses],
+        }
+
+
+def sought(
+    messages: Iterable[Messages], times_s: Array, quantity: MeasuredQuantity, latest_s: float
+) -> ReferenceGuesses:
+    """Return the fields of a recording that follow a quantity; `times_s` are all instants of the recording.
+
+    Raises `CallerError` for a recording without times.
+    """
+    if not len(times_s):
+        raise CallerError("a reference needs a recording with times, and this one has none")
+    first = float(times_s.min())
+    quantity, is_same_clock = on_clock(quantity, first, float(times_s.max()))
+    moved = (some._replace(times_s=some.times_s - first) for some in messages)
+    both_s = min(float(quantity.times_s[-1]), float(times_s.max()) - first) - max(
+        float(quantity.times_s[0]), 0.0
+    )
+    latest_s = min(latest_s, OF_BOTH * max(both_s, 0.0))
+    return ReferenceGuesses(quantity, is_same_clock, tuple(followers(moved, quantity, latest_s)))
 
 
 def on_clock(quantity: MeasuredQuantity, first_s: float, last_s: float) -> tuple[MeasuredQuantity, bool]:
@@ -341,11 +398,13 @@ def _downward(
     least = FOR if positions[0] // 8 == positions[-1] // 8 else AGAINST
     while at and sample.varies[line[at - 1]]:
         low, high = int(line[at - 1]), int(line[at])
-        if scores[at - 1] <= (least if low // 8 != high // 8 else AGAINST):
-            break
-        if sample.rates[low] < RARELY * sample.rates[high]:
-            break
         longer = (low, *positions)
+        goes_along = scores[at - 1] > (least if low // 8 != high // 8 else AGAINST)
+        goes_along &= sample.rates[low] >= RARELY * sample.rates[high]
+        # Of a slow number each further bit makes the curve smoother; a foreign one makes it rougher.
+        before, after = (_bends(sample, bits, order, signed) for bits in (positions, longer))
+        if not goes_along and after / 4 > SMOOTHER * before:
+            break
         if not any((way, signed, longer) in ties for way in ("little", "big")):
             break
         positions = longer
@@ -423,16 +482,33 @@ def _fitted(
         measured=measured,
     )
     return ReferenceGuess(
-        messages.key, field, scale, measured.offset, delay, explained, residual, error, len(rows)
+        messages.key,
+        field,
+        scale,
+        measured.offset,
+        delay,
+        explained,
+        residual,
+        error,
+        len(rows),
+        messages.shown,
     )
 
 
 def _noise(field: FieldGuess, rows: Array) -> float:
     """Return the variance of what changes from message to message in a number that moves slowly."""
-    sample = Rows(rows)
+    return _bends_of(Rows(rows), field) / 6
+
+
+def _bends(sample: Rows, positions: tuple[int, ...], order: ByteOrder, signed: bool) -> float:
+    return _bends_of(sample, FieldGuess(positions[0], len(positions), order, "number", 0.0, "", signed))
+
+
+def _bends_of(sample: Rows, field: FieldGuess) -> float:
+    """Return the mean square of the second differences of a number."""
     raw = raw_values(field, sample.bytes)
     bends = (raw[2:] - 2 * raw[1:-1] + raw[:-2])[sample.follows[1:] & sample.follows[:-1]]
-    return float((bends**2).mean()) / 6 if len(bends) else 0.0
+    return float((bends**2).mean()) if len(bends) else 0.0
 
 
 def rounded_within(value: float, error: float) -> float:

@@ -23,6 +23,7 @@ from aces_bus.protocol.fitting import TRIED_BYTES, FittingProtocol, fitting_prot
 from .fields import FieldGuess, fields_of
 from .framing_search import framings_of
 from .framings import FramingGuess, framing_check, spans_of
+from .reference import LATEST, MeasuredQuantity, Messages, ReferenceGuesses, sought
 from .sample import SAMPLE, Sample, Span
 
 #: Bytes that are looked at.
@@ -84,6 +85,7 @@ class StreamGuess:
     decoded: int
     #: Installed protocols that decode it, best first; then there is nothing to guess.
     known: tuple[FittingProtocol, ...] = ()
+    reference: ReferenceGuesses | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the guess in JSON's kinds."""
@@ -96,6 +98,7 @@ class StreamGuess:
                 {"name": protocol.name, "share": round(protocol.share, 4), "direction": protocol.direction}
                 for protocol in self.known
             ],
+            "reference": None if self.reference is None else self.reference.as_dict(),
             "framings": [framing.as_dict() for framing in self.framings],
             "packets": [packet.as_dict() for packet in self.packets],
         }
@@ -130,8 +133,12 @@ class StreamTraffic:
             line.size += len(data)
             self.kept += len(data)
 
-    def guess(self, *, known: bool = True) -> StreamGuess:
-        """Return what is in it; with `known` installed protocols are tried first, and where one fits nothing is guessed."""
+    def guess(
+        self, *, known: bool = True, quantity: MeasuredQuantity | None = None, latest_s: float = LATEST
+    ) -> StreamGuess:
+        """Return what is in it; with `known` installed protocols are tried first, and where one fits nothing is guessed.
+        With a quantity, the fields that follow it are sought, with delays of up to `latest_s`; the first is in its packet.
+        """
         lines = list(self._lines.values())
         whole = b"".join(data for line in lines for data, _ in line.chunks)
         fitting = tuple(fitting_protocols(whole[:TRIED_BYTES])) if known and whole else ()
@@ -146,14 +153,31 @@ class StreamTraffic:
             said = f"found in {len(sample.data):,} of the bytes; packets are counted in all"
             framings = [replace(framing, evidence=(*framing.evidence, said)) for framing in framings]
         found: list[PacketGuess] = []
+        messages: list[Messages] = []
         for number, framing in enumerate(framings):
             packets, times = _packets(lines, spans, number)
             logical = _logical(framing, packets)
             framing = framings[number] = replace(framing, opcode=opcode_of(framing, logical))
-            found += _kinds(framing, number, logical, packets, times)
+            for packet, rows, instants in _kinds(framing, number, logical, packets, times):
+                found.append(packet)
+                if instants is not None and rows.size:
+                    code = "" if packet.opcode is None else f" {packet.opcode.hex(' ').upper()}"
+                    shown = f"packet{code}"
+                    messages.append(Messages((number, packet.opcode), instants * 1e-9, rows, shown))
+        reference: ReferenceGuesses | None = None
+        if quantity is not None:
+            every = np.concatenate([np.zeros(0), *(some.times_s for some in messages)])
+            reference = sought(messages, every, quantity, latest_s)
+            found = [_with_reference(packet, messages, reference) for packet in found]
         decoded = sum(span.end - span.start for line in spans for span in line)
         return StreamGuess(
-            tuple(framings), tuple(found), tuple(map(tuple, spans)), self.bytes, self.kept, decoded
+            tuple(framings),
+            tuple(found),
+            tuple(map(tuple, spans)),
+            self.bytes,
+            self.kept,
+            decoded,
+            reference=reference,
         )
 
     @staticmethod
@@ -372,8 +396,10 @@ def _word_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int]
 
 def _kinds(
     framing: FramingGuess, number: int, logical: list[bytes], wire: list[bytes], times: Array | None
-) -> Iterator[PacketGuess]:
-    """Yield the packets by their opcode, the most frequent first, with their fields."""
+) -> Iterator[tuple[PacketGuess, Array, Array | None]]:
+    """Yield the packets by their opcode, the most frequent first, with their fields; the rows that these are of, and when
+    they came (ns).
+    """
     groups: dict[bytes | None, list[int]] = {}
     for index, packet in enumerate(logical):
         groups.setdefault(_code(framing, packet), []).append(index)
@@ -381,13 +407,28 @@ def _kinds(
         members = members[:ROWS]
         sizes = sorted({len(logical[index]) for index in members})
         fields: list[FieldGuess] = []
+        rows: Array = np.zeros((0, 0), np.uint8)
+        instants = None if times is None else times[members]
         # Packets of many lengths that nothing tells apart are not one message.
         if framing.kind != "lines" and (code is not None or len(sizes) == 1):
             start, end = framing.head_end, sizes[0] - body_end(framing)
             if end > start:
                 rows = np.array([list(logical[index][start:end]) for index in members], np.uint8)
-                fields = fields_of(rows, None if times is None else times[members])
-        yield PacketGuess(number, code, len(groups[code]), tuple(sizes), tuple(fields), wire[members[0]])
+                fields = fields_of(rows, instants)
+        guess = PacketGuess(number, code, len(groups[code]), tuple(sizes), tuple(fields), wire[members[0]])
+        yield guess, rows, instants
+
+
+def _with_reference(
+    packet: PacketGuess, messages: Sequence[Messages], reference: ReferenceGuesses
+) -> PacketGuess:
+    """Return a packet with the field that a quantity is, if that is in it."""
+    key = packet.framing, packet.opcode
+    given = reference.fields_of([key])
+    if not given:
+        return packet
+    rows = next(some.rows for some in messages if some.key == key)
+    return replace(packet, fields=tuple(fields_of(rows, given=given)))
 
 
 def _code(framing: FramingGuess, packet: bytes) -> bytes | None:

@@ -13,7 +13,6 @@ from typing import Any
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.errors import CallerError
 from aces_bus.frame_table import ERROR, NO_TIME, rows_at
 from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.fitting import FittingProtocol, fitting_protocols, undecoded
@@ -23,7 +22,7 @@ from .fields import Array, FieldGuess, fields_of
 from .nodes import Members, NodeGuess, families
 from .pairs import PairGuess, pairs_of
 from .protocols import ProtocolGuess, recognised
-from .reference import LATEST, MeasuredQuantity, Messages, ReferenceGuess, followers, on_clock
+from .reference import LATEST, MeasuredQuantity, Messages, ReferenceGuesses, sought
 
 #: Frames that are kept, and identifiers that are looked at.
 FRAMES, IDENTIFIERS = 2_000_000, 2048
@@ -119,45 +118,6 @@ class MessageGuess:
             "period_ms": None if self.timing is None else self.timing.period_ns / 1e6,
             "jitter_ms": None if self.timing is None else self.timing.jitter_ns / 1e6,
             "fields": [field.as_dict() for field in self.fields],
-        }
-
-
-@dataclass(frozen=True)
-class ReferenceGuesses:
-    """A quantity, and the fields that follow it, best first; their keys are (identifier with flags, length or 0)."""
-
-    quantity: MeasuredQuantity
-    #: True if its instants are of the recording's clock; otherwise both were taken to begin together.
-    is_same_clock: bool
-    guesses: tuple[ReferenceGuess, ...]
-
-    @property
-    def found(self) -> ReferenceGuess | None:
-        """The field that the quantity is; None where none explains enough of it."""
-        return self.guesses[0] if self.guesses and self.guesses[0].is_found else None
-
-    def fields_of(self, keys: Sequence[int], length: int) -> tuple[FieldGuess, ...]:
-        """Return the field that was found, if it is of a message with these keys."""
-        found = self.found
-        if found is None or found.key[0] not in keys or found.key[1] != length:
-            return ()
-        return (found.field,)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it in JSON's kinds."""
-        return {
-            "name": self.quantity.name,
-            "unit": self.quantity.unit,
-            "same_clock": self.is_same_clock,
-            "found": self.found is not None,
-            "guesses": [
-                {
-                    "identifier": guess.key[0] & 0x1FFF_FFFF,
-                    "message_length": guess.key[1] or None,
-                    **guess.as_dict(),
-                }
-                for guess in self.guesses
-            ],
         }
 
 
@@ -314,15 +274,10 @@ def _reference(
     frames, and apart for each of its lengths where these are few (0: of what all lengths have).
     """
     apart = {key for standard in standards if standard.name in TRANSPORTS for key in standard.keys}
-    is_timed = frames.time != NO_TIME
-    if not is_timed.any():
-        raise CallerError("a reference needs a recording with times, and this one has none")
-    first = int(frames.time[is_timed].min())
-    quantity, is_same_clock = on_clock(quantity, first * 1e-9, int(frames.time.max()) * 1e-9)
 
     def messages() -> Iterator[Messages]:
         for key, by_channel in list(rows_by_key(frames).items())[:IDENTIFIERS]:
-            rows = by_channel[0][is_timed[by_channel[0]]]
+            rows = by_channel[0][frames.time[by_channel[0]] != NO_TIME]
             lengths = np.unique(frames.length[rows]).tolist()
             if key in apart or key & REMOTE:
                 continue
@@ -331,9 +286,11 @@ def _reference(
                 if length:
                     data = np.ascontiguousarray(rows_at(frames.data, some)[:, :length])
                     of_length = length if len(lengths) <= LENGTHS else 0
-                    yield Messages((key, of_length), (frames.time[some] - first) * 1e-9, data)
+                    shown = BusIdentifier(None, key).digits
+                    yield Messages((key, of_length), frames.time[some] * 1e-9, data, shown)
 
-    return ReferenceGuesses(quantity, is_same_clock, tuple(followers(messages(), quantity, latest_s)))
+    timed = frames.time[frames.time != NO_TIME]
+    return sought(messages(), timed * 1e-9, quantity, latest_s)
 
 
 def _messages(
@@ -405,7 +362,7 @@ def _message(
     size = group.lengths[0] if length is None else length
     key = group.keys[0]
     fields: list[FieldGuess] = []
-    given = () if reference is None else reference.fields_of(group.keys, length or 0)
+    given = () if reference is None else reference.fields_of((key, length or 0) for key in group.keys)
     if (with_fields or given) and not key & REMOTE and size:
         digits = 4 if key & EXTENDED else 2
         prefix = (frames.id[rows].astype(">u4").view(np.uint8).reshape(-1, 4))[:, 4 - digits :]

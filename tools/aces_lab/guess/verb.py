@@ -71,9 +71,9 @@ from . import (
 )
 from .checked import checked_draft
 from .draft import integer_text, own_name, place_text, reference_said
-from .reference import LATEST
+from .reference import LATEST, ReferenceGuesses
 from .reference_file import read_quantity
-from .traffic import ReferenceGuesses, runs_text
+from .traffic import runs_text
 
 #: Pairs and known protocols that are listed, and lines on the terminal: a draft has all of it.
 LISTED, LINES = 8, 40
@@ -148,7 +148,9 @@ def run(arguments: argparse.Namespace) -> int:
     if stream.bytes and traffic.frames:
         raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
     if stream.bytes:
-        return _of_stream(stream.guess(known=not arguments.no_known), arguments) or status
+        known = not arguments.no_known and quantity is None
+        found = stream.guess(known=known, quantity=quantity, latest_s=latest_s)
+        return _of_stream(found, arguments) or status
     if not traffic.frames:
         raise CaptureError(
             f"{', '.join(map(_title, arguments.files))}: nothing to guess: no frames and no bytes"
@@ -212,7 +214,8 @@ def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> int:
     if arguments.output is not None and not guess.framings:
         said = f"is {_best(guess.known)}" if guess.known else "has no framing that it shows plainly"
         say(f"no draft was written: the recording {said}")
-    return int(arguments.output is not None and not written)
+    is_lost = guess.reference is not None and guess.reference.found is None
+    return int(is_lost or (arguments.output is not None and not written))
 
 
 def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: bool) -> None:
@@ -229,6 +232,8 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: boo
         page.lines(["nothing was guessed (--no-known: everything)"])
     elif not guess.framings:
         page.lines(["no sync bytes, length, line end or check that chance could not give as well"])
+    if guess.reference is not None:
+        _show_reference(guess.reference, page)
     for number, framing in enumerate(guess.framings):
         head = f"framing {number}: {counted(framing.packets, 'packet')}, {framing.share:.1%} of the bytes"
         page.section(page.paint("message", f"{head} ({framing.confidence:.2f})"))
@@ -351,7 +356,7 @@ def _show_reference(reference: ReferenceGuesses, page: Page) -> None:
         ("message", "bits", "number", "scale", "offset", "delay", "explains", "leaves"),
         [
             (
-                _identifier(guess.key[0]),
+                guess.shown,
                 place_text(guess.field),
                 integer_text(guess.field),
                 f"{guess.scale:g}",
