@@ -32,7 +32,8 @@ ARGUMENTS: Arguments = (
         "Python and python-can-isotp; text: whole recordings to lines, beside cantools decode; "
         "bus: the virtual bus, beside python-can's; "
         "control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; "
-        "robot: a complete robot on served buses in real time, beside the same with threads",
+        "robot: a complete robot on served buses in real time, beside the same with threads; "
+        "bits: fields and sizes by bits, beside fixed layouts of the same fields",
     ),
     flag("--quick", help="a few seconds instead of a minute; rougher figures"),
     argument(

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from aces_bus import load_protocol
+from tests.bench import bits
 from tests.bench.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
 from tests.bench.rows import fastest
 
@@ -58,3 +59,11 @@ def test_one_thread_is_measured_in_processor_time(monkeypatch: pytest.MonkeyPatc
     instants = iter([0, 5_000_000_000, 5_000_000_000, 7_000_000_000])
     monkeypatch.setattr("tests.bench.rows.process_time_ns", lambda: next(instants))
     assert fastest({"one": lambda: None}, rounds=2, one_thread=True) == {"one": 2.0}
+
+
+@pytest.mark.parametrize("subject", bits.SUBJECTS, ids=lambda subject: subject.name)
+def test_traffic_by_bits_is_decoded(subject: bits.Subject) -> None:
+    """What is measured of fields and sizes by bits is whole packets, live and in columns."""
+    for how in ("fixed", *subject.shapes):
+        for decode in bits.contender(subject, how, 40).values():
+            decode()

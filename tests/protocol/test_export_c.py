@@ -20,7 +20,7 @@ from construct import Byte, Float32l, GreedyBytes, Int16ub, Struct, this
 from hypothesis import settings
 
 from aces_bus import load_protocol, make_scanner
-from aces_bus.protocol import Enumeration, Fletcher, Protocol, Quantity, Variant
+from aces_bus.protocol import Enumeration, Fletcher, IdField, Protocol, Quantity, Variant
 from aces_bus.protocol.exchange import print_c_source
 from aces_bus.protocol.exchange.export_c import CMessage, CSource
 from aces_bus.testing.packets import DrawnPacket, UndrawableError
@@ -360,3 +360,32 @@ def test_the_same_spec_gives_the_same_text() -> None:
     only = print_c_source(variant, only=["Encoder"])
     assert [one.message.name for one in only.messages] == ["Encoder"]
     assert "hubo_status" not in only.header
+
+
+@needs_cc
+def test_packing_refuses_numbers_that_the_identifier_does_not_have(tmp_path: Path) -> None:
+    """A board that is not declared would be another message's identifier: pack gives -1, and an identifier else."""
+    made = Protocol("boards", link="can", source="drawn")
+    made.message("M", id=0x100 + IdField("board", range(3, 9)), payload=Struct("x" / Byte))
+    printed = print_c_source(made.variant(), name="spec")
+    (tmp_path / "spec.h").write_text(printed.header, encoding="utf-8")
+    (tmp_path / "spec.c").write_text(printed.source, encoding="utf-8")
+    main = """#include <stdio.h>
+#include "spec.h"
+int main(void) {
+    for (int board = 0; board < 12; board++) {
+        struct boards_m m = {0};
+        uint8_t data[8];
+        uint32_t id = 0;
+        m.board = (uint8_t)board;
+        const int length = boards_m_pack(data, sizeof data, &id, &m);
+        printf("%d %x\\n", length, (unsigned)id);
+    }
+    return 0;
+}
+"""
+    (tmp_path / "main.c").write_text(main, encoding="utf-8")
+    subprocess.run([str(CC), "main.c", "spec.c", "-o", "program"], cwd=tmp_path, check=True, timeout=120)
+    run = subprocess.run([tmp_path / "program"], capture_output=True, text=True, timeout=60, check=True)
+    wanted = [f"1 {0x100 + board:x}" if 3 <= board < 9 else "-1 0" for board in range(12)]
+    assert run.stdout.splitlines() == wanted

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from construct import Byte, Struct
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aces_bus import Frame, FrameTable, Unknown, load_protocol, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.protocol import J1939Transport, Protocol, Variant
+from aces_bus.protocol import IdField, J1939Transport, Protocol, Variant
 from aces_bus.protocol.exchange import load_database, print_dbc, print_source
 from aces_bus.protocol.exchange.problems import Loss
 from aces_bus.protocol.plan import nodes as p
@@ -333,3 +334,22 @@ def test_parameter_groups_longer_than_a_frame(tmp_path: Path) -> None:
     path.write_text(text)
     (again,) = load_protocol(str(path)).variants()
     assert again["Long"].transport == variant["Long"].transport
+
+
+def test_a_captured_part_of_a_byte_has_its_names_and_its_unit() -> None:
+    """What a byte's constant adds is taken off by the offset; names stand at the whole byte, for one message each."""
+    made = Protocol("captures", link="can", source="drawn")
+    axis = IdField("axis", (2, 3), names={"left": 2, "right": 3})
+    heat = IdField("heat", range(8), unit="K", scale=10, offset=250)
+    for name, identifier, capture in (("Moved", 0x100, axis), ("Hot", 0x200, heat)):
+        made.message(
+            name,
+            id=identifier,
+            prefix=Struct("op" / Byte),
+            match={"op": 0x40 + capture},
+            payload=Struct("x" / Byte),
+        )
+    database = cantools.database.load_string(print_dbc(made.variant())[0], "dbc")
+    assert database.decode_message(0x100, b"\x43\x01") == {"axis": "right", "x": 1}
+    assert database.decode_message(0x200, b"\x43\x01") == {"heat": 280, "x": 1}
+    assert database.get_message_by_name("Hot").get_signal_by_name("heat").unit == "K"

@@ -27,6 +27,12 @@ from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity
 from aces_bus.testing import law_tests
 
 
+@pytest.fixture(autouse=True, params=[0, 2])
+def rare(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every shape has its printed decoder at once, or when it has come twice."""
+    monkeypatch.setattr("aces_bus.protocol.generate.shapes.RARE", request.param)
+
+
 def groups() -> Protocol:
     """Groups of fields: a byte says which masks follow, each mask which fields."""
     made = Protocol("groups", link="serial", source="after VectorNav's binary output")

@@ -225,8 +225,8 @@ def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapp
 
 
 def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
-    """Return a decode function for fields that are there by bits: each shape that comes has a generated one of its own,
-    which makes the record of the whole message, None where a field is not there.
+    """Return a decode function for fields that are there by bits: each shape that comes often has a generated one of its
+    own, which makes the record of the whole message, None where a field is not there; others go through construct.
     """
     from .shapes import by_shape
 
@@ -237,6 +237,7 @@ def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
         arguments,
         label,
         lambda shape, number: _of_shape(variant, message, shape, f"{label}, shape {number}", raw=raw),
+        _opaque(message, variant, raw=raw),
     )
     return found
 

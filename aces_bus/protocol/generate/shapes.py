@@ -2,6 +2,8 @@
 
 1. A level of deciding bits is one printed function with a table: what each value leads to is made when it first comes.
 2. Memory is bounded: when `MOST` values have come, the tables begin anew.
+3. Printing a shape's decoder and compiling it costs as much as a dozen packets by construct, so construct decodes rare
+   shapes.
 """
 
 from __future__ import annotations
@@ -13,10 +15,15 @@ from ..declare.framing import BitSize, FieldSize
 from ..declare.shapes import MOST, DecidingBits, PayloadShape, ShapeLevel, Shapes
 from .source import load_source
 
+#: How often a value comes before something is printed for what it leads to.
+RARE = 12
 
-def by_shape(shapes: Shapes, arguments: str, label: str, make: Callable[[PayloadShape, int], Any]) -> Any:
+
+def by_shape(
+    shapes: Shapes, arguments: str, label: str, make: Callable[[PayloadShape, int], Any], rare: Any
+) -> Any:
     """Return a function of a packet `data` and the other `arguments` that calls what `make` gives for the packet's shape
-    and its number; it gives None for a packet that is too short.
+    and its number, or `rare` as long as the shape is rare; it gives None for a packet that is too short.
     """
     passed = arguments.replace("=None", "")
 
@@ -25,7 +32,7 @@ def by_shape(shapes: Shapes, arguments: str, label: str, make: Callable[[Payload
             f"def choose({arguments}):\n{_found(level, 'data', '', 'len(data)')}    return found({passed})\n"
         )
 
-    return _Tables(shapes, label, printed, make).root
+    return _Tables(shapes, label, printed, make, rare).root
 
 
 def measure_of(measure: BitSize | FieldSize, label: str) -> Callable[[bytes, int, int], int | None]:
@@ -71,8 +78,10 @@ class _Tables:
         label: str,
         printed: Callable[[ShapeLevel], str],
         make: Callable[[PayloadShape, int], Any],
+        rare: Any = None,
     ) -> None:
         self._shapes, self._label, self._printed, self._make = shapes, label, printed, make
+        self._rare = rare
         self._count = 0
         self._first: dict[Any, Any] = {}
         self.root = self._of(shapes.root, self._first)
@@ -82,9 +91,15 @@ class _Tables:
         if isinstance(found, PayloadShape):
             return self._make(found, self._count)
         level = found
+        seen: dict[tuple[int, ...], int] = {}
 
         def grow(data: bytes) -> Any:
             key = level.key(data)
+            if self._rare is not None and (count := seen.get(key, 0)) < RARE:
+                if len(seen) >= MOST:
+                    seen.clear()
+                seen[key] = count + 1
+                return self._rare
             made = self._of(self._shapes.after(level, key), {})
             if self._count >= MOST:
                 self._count = 0
@@ -100,13 +115,14 @@ class _Tables:
 
 def _found(level: ShapeLevel, data: str, start: str, left: str) -> str:
     """Return the lines that set `found` to what the deciding numbers of a packet lead to, and return None where these are
-    not there: what looks at the last byte of them fails by itself.
+    not there: of whether there are `left` bytes enough is asked where nothing looks at the last of them. (A shape's decoder
+    asks for its own length.)
     """
     parts = [_number(bits, data, start) for bits in level.bits]
     key = parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
     is_short = (
         ""
-        if f"[{start}{level.reach - 1}]" in key
+        if not left or f"[{start}{level.reach - 1}]" in key
         else f"    if {left} < {level.reach}:\n        return None\n"
     )
     whole = f"{data}[{start.removesuffix(' + ')} : {start}{level.reach}]" if start else data
