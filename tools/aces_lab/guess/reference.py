@@ -373,7 +373,7 @@ def _picked(all_rows: Array, rows: Array, values: Array) -> FieldGuess | None:
     if share >= best:
         return floats[number][0]
     tolerated = (1 - best) * (1 + max(TIES, TIES_OF_ALL / len(rows))) + 1e-9
-    ties = {
+    ties: set[tuple[ByteOrder, bool, tuple[int, ...]]] = {
         (candidates.order, candidates.signed, candidates.positions(number))
         for candidates in some
         for number in np.flatnonzero(1 - candidates.explained[:, 0] <= tolerated).tolist()
