@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from construct import Byte, Bytes, Int16ul, Struct
 
+from aces_bus import Frame
+from aces_bus.protocol import Protocol, Quantity
 from aces_protocols.dynamixel.spec import dynamixel
 from aces_protocols.feetech.spec import feetech
 from aces_protocols.robotis.spec import control_table, robotis
+from aces_tools.registers import RegisterNotes
 from tests.tools.live import Opened
 
 Aces = Callable[..., Any]
@@ -43,6 +47,21 @@ def test_what_is_read_and_written_has_names(aces: Aces, tmp_path: Path) -> None:
     assert lines[2].endswith("data=01  torque_enable=on")
     assert lines[3].endswith("error={}")
     assert lines[4].endswith("goal_position={1: 149.85 °, 2: 75.07 °}")
+
+
+def test_a_register_has_the_unit_of_its_quantity() -> None:
+    """A register that is declared as a quantity shows its unit as one that is declared with `unit=` does."""
+    made = Protocol("sheet", link="can", source="drawn")
+    made.message("Read", id=1, payload=Struct("start" / Byte, "count" / Byte))
+    made.message("Write", id=2, payload=Struct("start" / Byte, "data" / Bytes(4)))
+    table = made.registers(read="Read", write="Write")
+    table.add("voltage", 0, Quantity(Int16ul, unit="V", scale=0.5))
+    table.add("speed", 2, Int16ul, unit="rpm")
+    (record,) = made.scanner().feed([Frame(2, bytes([0, 25, 0, 5, 0]))])
+    notes = RegisterNotes([made.variant()])
+    notes.see([record])
+    shown = [(field.label, field.value, field.unit) for field in notes.of(record)]
+    assert shown == [("voltage=", "12.5", " V"), ("speed=", "5", " rpm")]
 
 
 def test_an_answer_of_another_length_has_no_names(aces: Aces, tmp_path: Path) -> None:
