@@ -53,7 +53,7 @@ def protocol_hash(protocol: Protocol) -> str:
         # Where and in which words changes no meaning; what all fields are together follows from each of them.
         plan = replace(message.plan, place="", doc="", all_fields=None)
         pattern = [(c.name, c.shift, sorted(c.values)[:4096]) for c in message.identifier.captures]
-        shown = re.sub(r"(place|doc)='[^']*'|, all_fields=None|, units=\(\)", "", repr(plan))
+        shown = re.sub(r"(place|doc)='[^']*'|, all_fields=None", "", repr(plan))
         digest.update(f"{shown} {message.identifier.constant} {pattern}".encode())
         digest.update(print_decoder(Decoder(plan, raw=False)).encode())
     return digest.hexdigest()[:16]
