@@ -259,7 +259,7 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: boo
 
 
 class _Summary(Page):
-    """A page of `LINES` lines at most: with too many the details of all sections are left out, then the last sections."""
+    """A page of `LINES` lines at most: details are left out where there is no room, then the last sections."""
 
     def __init__(self, colour: bool | None) -> None:
         super().__init__(colour)
@@ -281,7 +281,13 @@ class _Summary(Page):
             super().lines([*whole, *(["", last] if last else [])])
             return
         room = LINES - min(len(first), LINES // 2) - 2
-        shown = [*first[: LINES // 2], *(head for head, _ in sections[:room])]
+        shown = first[: LINES // 2]
+        spare = room - len(sections)
+        for head, details in sections[:room]:
+            shown.append(head)
+            if len(details) <= spare:
+                shown += details
+                spare -= len(details)
         left = f"; {len(sections) - room} more" if len(sections) > room else ""
         super().lines(
             [*shown, f"fields and evidence: in the draft (-o draft.py){left}", *([last] if last else [])]
