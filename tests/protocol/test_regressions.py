@@ -706,7 +706,9 @@ def test_what_is_out_of_range_is_named_in_its_unit(fields: dict[str, Any], said:
         "more": {"current": 1},
         "bits": {"step": 1},
     }
-    given = {"more": fields} if "current" in fields else {"bits": fields} if "step" in fields else fields
+    given: dict[str, Any] = (
+        {"more": fields} if "current" in fields else {"bits": fields} if "step" in fields else fields
+    )
     said = said.replace("current:", "more -> current:").replace("step:", "bits -> step:")
     with pytest.raises(FieldError, match=re.escape(said)):
         made.encode("Set", **{**good, **given})
