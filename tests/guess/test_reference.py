@@ -144,7 +144,7 @@ def test_a_unit_is_the_columns_or_the_callers(tmp_path: Path) -> None:
         ("time,v\n1,5\nx,6\n", "v", ":3: 'x' is not an instant"),
         ("time\n1\n", "v", "no names of two columns"),
         ("time,v\n1,5\n", "w", "there are time, v"),
-        ("when,v\n1,5\n", "v", "--time COLUMN"),
+        ("when,v\n1,5\n", "v", "--time-column COLUMN"),
         ("time,v\n1,5\n", "", "FILE.csv:COLUMN"),
     ],
 )

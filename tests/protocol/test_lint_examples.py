@@ -155,11 +155,22 @@ WITHOUT_EXAMPLES = {
     "lx16a": "worked bytes of its sheet are not at hand; pylx16a drives its twin in tests/oracles/test_lx16a.py"
 }
 
+#: Messages of which no worked bytes are public; tests/oracles holds them against other implementations where there are such.
+UNWORKED = {
+    "crsf": {
+        "Airspeed", "BaroVario", "GpsExtended", "GpsTime", "Heartbeat", "ParameterEntry", "ParameterRead", "ParameterWrite",
+        "ReceiverLink", "Rpm", "SpeedAnswer", "Temperatures", "Timing", "TransmitterLink", "Vario", "VideoTransmitter",
+        "Voltages",
+    },
+    "rplidar": {"Configuration", "ExpressMeasurements", "GetConfiguration"},
+}  # fmt: skip
+
 
 @pytest.mark.parametrize("name", [name for name in REGISTERED if name not in WITHOUT_EXAMPLES])
 def test_every_message_that_ships_has_an_example(name: str) -> None:
     """So that a slip in a shipped spec is found by checking it."""
-    assert [m.name for m in REGISTERED[name].declared if not m.examples] == []
+    without = {m.name for m in REGISTERED[name].declared if not m.examples}
+    assert without == UNWORKED.get(name, set())
 
 
 @pytest.mark.parametrize(

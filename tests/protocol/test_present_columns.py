@@ -166,7 +166,8 @@ def test_drawn_streams_are_the_same_at_once(seed: int) -> None:
     made = drawn(a_stream, source)
     assert isinstance(columns := make_column_scanner([made.variant()]), StreamColumns)
     assert not columns.reason
-    packets = packets_of(made, source, 40)
+    if not (packets := packets_of(made, source, 40)):
+        pytest.skip("no packet of this layout is as long as its framing takes")
     traffic = b"".join(
         damaged(source, source.choice(packets)) + source.randbytes(source.choice([0, 0, 0, 2]))
         for _ in range(90)

@@ -142,7 +142,7 @@ def test_a_reference_that_nothing_follows_is_said(aces: Aces, drive: Path, tmp_p
     assert "v, 40 instants on the recording's clock, is in no field." in result.out
 
 
-@pytest.mark.parametrize("more", [["--time", "t"], ["--unit", "m"], ["--delay", "1s"]])
+@pytest.mark.parametrize("more", [["--time-column", "t"], ["--unit", "m"], ["--delay", "1s"]])
 def test_words_of_a_reference_need_one(aces: Aces, drive: Path, more: list[str]) -> None:
     """Else they would be ignored."""
     result = aces("spec", "guess", drive, *more)

@@ -2,13 +2,16 @@
 # ruff: noqa: E501
 # fmt: off
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from aces_bus.protocol import FlagSet, Protocol, Record
 
 rmdx: Protocol
 
-class SetCurrent(Record, frozen=True):
+class _Typed(Record, frozen=True):
+    __getattr__: ClassVar[None]  # type: ignore[assignment,misc]
+
+class SetCurrent(_Typed, frozen=True):
     """Torque by current. It does not open the brake: ReleaseBrake does.
 
     to device; source: MyActuator motion protocol V4.2 §2.19
@@ -20,7 +23,7 @@ class SetCurrent(Record, frozen=True):
     """-327.68…327.67 A"""
     zero2: bytes
 
-class SetSpeed(Record, frozen=True):
+class SetSpeed(_Typed, frozen=True):
     """Turn with a speed.
 
     to device; source: MyActuator motion protocol V4.2 §2.20
@@ -31,7 +34,7 @@ class SetSpeed(Record, frozen=True):
     speed: float
     """-2.14748e+07…2.14748e+07 °/s"""
 
-class SetPosition(Record, frozen=True):
+class SetPosition(_Typed, frozen=True):
     """Go to an angle of many turns.
 
     to device; source: MyActuator motion protocol V4.2 §2.21
@@ -44,7 +47,7 @@ class SetPosition(Record, frozen=True):
     position: float
     """-2.14748e+07…2.14748e+07 °"""
 
-class SetTurnPosition(Record, frozen=True):
+class SetTurnPosition(_Typed, frozen=True):
     """Go to an angle within a turn, in a direction.
 
     to device; source: MyActuator motion protocol V4.2 §2.22
@@ -58,7 +61,7 @@ class SetTurnPosition(Record, frozen=True):
     """0…360 °"""
     zero: bytes
 
-class Increment(Record, frozen=True):
+class Increment(_Typed, frozen=True):
     """Go on from here by an angle.
 
     to device; source: MyActuator motion protocol V4.2 §2.23
@@ -71,7 +74,7 @@ class Increment(Record, frozen=True):
     position: float
     """-2.14748e+07…2.14748e+07 °"""
 
-class Motion(Record, frozen=True):
+class Motion(_Typed, frozen=True):
     """The answer to SetCurrent, SetSpeed, SetPosition and Increment.
 
     from device; source: MyActuator motion protocol V4.2 §2.19 to §2.21, §2.23
@@ -88,7 +91,7 @@ class Motion(Record, frozen=True):
     position: int
     """-32768…32767 °"""
 
-class TurnMotion(Record, frozen=True):
+class TurnMotion(_Typed, frozen=True):
     """The answer to SetTurnPosition.
 
     from device; source: MyActuator motion protocol V4.2 §2.22
@@ -104,7 +107,7 @@ class TurnMotion(Record, frozen=True):
     encoder: int
     """0…65535 1"""
 
-class ShutDown(Record, frozen=True):
+class ShutDown(_Typed, frozen=True):
     """Switch the output off; no loop is closed any more.
 
     to device; source: MyActuator motion protocol V4.2 §2.17
@@ -113,7 +116,7 @@ class ShutDown(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class ShutDownDone(Record, frozen=True):
+class ShutDownDone(_Typed, frozen=True):
     """The answer to ShutDown: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.17
@@ -122,7 +125,7 @@ class ShutDownDone(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Stop(Record, frozen=True):
+class Stop(_Typed, frozen=True):
     """Stand still, with the loop closed.
 
     to device; source: MyActuator motion protocol V4.2 §2.18
@@ -131,7 +134,7 @@ class Stop(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class StopDone(Record, frozen=True):
+class StopDone(_Typed, frozen=True):
     """The answer to Stop: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.18
@@ -140,7 +143,7 @@ class StopDone(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Run(Record, frozen=True):
+class Run(_Typed, frozen=True):
     """Go on after Stop; V4.2 does not have it.
 
     to device; dialect 3; source: nekormd 0.2.2, NekoRMD.init
@@ -149,7 +152,7 @@ class Run(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class RunDone(Record, frozen=True):
+class RunDone(_Typed, frozen=True):
     """The answer to Run: what was sent.
 
     from device; dialect 3; source: nekormd 0.2.2, NekoRMD.init
@@ -158,7 +161,7 @@ class RunDone(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class ReleaseBrake(Record, frozen=True):
+class ReleaseBrake(_Typed, frozen=True):
     """Open the holding brake.
 
     to device; source: MyActuator motion protocol V4.2 §2.26
@@ -167,7 +170,7 @@ class ReleaseBrake(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class ReleaseBrakeDone(Record, frozen=True):
+class ReleaseBrakeDone(_Typed, frozen=True):
     """The answer to ReleaseBrake: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.26
@@ -176,7 +179,7 @@ class ReleaseBrakeDone(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class LockBrake(Record, frozen=True):
+class LockBrake(_Typed, frozen=True):
     """Close the holding brake.
 
     to device; source: MyActuator motion protocol V4.2 §2.27
@@ -185,7 +188,7 @@ class LockBrake(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class LockBrakeDone(Record, frozen=True):
+class LockBrakeDone(_Typed, frozen=True):
     """The answer to LockBrake: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.27
@@ -194,7 +197,7 @@ class LockBrakeDone(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class GetStatus1(Record, frozen=True):
+class GetStatus1(_Typed, frozen=True):
     """Ask for temperature, brake, supply and errors.
 
     to device; source: MyActuator motion protocol V4.2 §2.14
@@ -214,7 +217,7 @@ class _Status1_errors(FlagSet):
     over_temperature: bool
     encoder_calibration: bool
 
-class Status1(Record, frozen=True):
+class Status1(_Typed, frozen=True):
     """Temperature, brake, supply and errors.
 
     from device; source: MyActuator motion protocol V4.2 §2.14
@@ -229,7 +232,7 @@ class Status1(Record, frozen=True):
     """0…6553.5 V"""
     errors: _Status1_errors
 
-class GetStatus2(Record, frozen=True):
+class GetStatus2(_Typed, frozen=True):
     """Ask for current, speed and angle, coarse.
 
     to device; source: MyActuator motion protocol V4.2 §2.15
@@ -238,7 +241,7 @@ class GetStatus2(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Status2(Record, frozen=True):
+class Status2(_Typed, frozen=True):
     """Current, speed and angle, coarse.
 
     from device; source: MyActuator motion protocol V4.2 §2.15
@@ -254,7 +257,7 @@ class Status2(Record, frozen=True):
     position: int
     """-32768…32767 °"""
 
-class GetStatus3(Record, frozen=True):
+class GetStatus3(_Typed, frozen=True):
     """Ask for currents of the phases.
 
     to device; source: MyActuator motion protocol V4.2 §2.16
@@ -263,7 +266,7 @@ class GetStatus3(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Status3(Record, frozen=True):
+class Status3(_Typed, frozen=True):
     """Currents of the phases.
 
     from device; source: MyActuator motion protocol V4.2 §2.16
@@ -279,7 +282,7 @@ class Status3(Record, frozen=True):
     c: float
     """-327.68…327.67 A"""
 
-class GetAngle(Record, frozen=True):
+class GetAngle(_Typed, frozen=True):
     """Ask for the angle of the output, over many turns.
 
     to device; source: MyActuator motion protocol V4.2 §2.12
@@ -288,7 +291,7 @@ class GetAngle(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Angle(Record, frozen=True):
+class Angle(_Typed, frozen=True):
     """The angle of the output, over many turns.
 
     from device; source: MyActuator motion protocol V4.2 §2.12
@@ -299,7 +302,7 @@ class Angle(Record, frozen=True):
     angle: float
     """-2.14748e+07…2.14748e+07 °"""
 
-class GetTurnAngle(Record, frozen=True):
+class GetTurnAngle(_Typed, frozen=True):
     """Ask for the angle of the output within a turn.
 
     to device; source: MyActuator motion protocol V4.2 §2.13
@@ -308,7 +311,7 @@ class GetTurnAngle(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class TurnAngle(Record, frozen=True):
+class TurnAngle(_Typed, frozen=True):
     """The angle of the output within a turn.
 
     from device; source: MyActuator motion protocol V4.2 §2.13
@@ -319,7 +322,7 @@ class TurnAngle(Record, frozen=True):
     angle: float
     """0…655.35 °"""
 
-class GetEncoder(Record, frozen=True):
+class GetEncoder(_Typed, frozen=True):
     """Ask for the encoder over many turns, from its zero.
 
     to device; source: MyActuator motion protocol V4.2 §2.6
@@ -328,7 +331,7 @@ class GetEncoder(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Encoder(Record, frozen=True):
+class Encoder(_Typed, frozen=True):
     """The encoder over many turns, from its zero.
 
     from device; source: MyActuator motion protocol V4.2 §2.6
@@ -338,7 +341,7 @@ class Encoder(Record, frozen=True):
     zero: bytes
     count: int
 
-class GetRawEncoder(Record, frozen=True):
+class GetRawEncoder(_Typed, frozen=True):
     """Ask for the encoder over many turns, without its zero.
 
     to device; source: MyActuator motion protocol V4.2 §2.7
@@ -347,7 +350,7 @@ class GetRawEncoder(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class RawEncoder(Record, frozen=True):
+class RawEncoder(_Typed, frozen=True):
     """The encoder over many turns, without its zero.
 
     from device; source: MyActuator motion protocol V4.2 §2.7
@@ -357,7 +360,7 @@ class RawEncoder(Record, frozen=True):
     zero: bytes
     count: int
 
-class GetEncoderZero(Record, frozen=True):
+class GetEncoderZero(_Typed, frozen=True):
     """Ask for the zero of the encoder.
 
     to device; source: MyActuator motion protocol V4.2 §2.8
@@ -366,7 +369,7 @@ class GetEncoderZero(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class EncoderZero(Record, frozen=True):
+class EncoderZero(_Typed, frozen=True):
     """The zero of the encoder.
 
     from device; source: MyActuator motion protocol V4.2 §2.8
@@ -376,7 +379,7 @@ class EncoderZero(Record, frozen=True):
     zero: bytes
     count: int
 
-class GetTurnEncoder(Record, frozen=True):
+class GetTurnEncoder(_Typed, frozen=True):
     """Ask for the encoder within a turn, from its zero and without.
 
     to device; source: MyActuator motion protocol V4.2 §2.11
@@ -385,7 +388,7 @@ class GetTurnEncoder(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class TurnEncoder(Record, frozen=True):
+class TurnEncoder(_Typed, frozen=True):
     """The encoder within a turn, from its zero and without.
 
     from device; source: MyActuator motion protocol V4.2 §2.11
@@ -397,7 +400,7 @@ class TurnEncoder(Record, frozen=True):
     raw: int
     offset: int
 
-class GetMode(Record, frozen=True):
+class GetMode(_Typed, frozen=True):
     """Ask for the loop that is closed.
 
     to device; source: MyActuator motion protocol V4.2 §2.24
@@ -406,7 +409,7 @@ class GetMode(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Mode(Record, frozen=True):
+class Mode(_Typed, frozen=True):
     """The loop that is closed.
 
     from device; source: MyActuator motion protocol V4.2 §2.24
@@ -416,7 +419,7 @@ class Mode(Record, frozen=True):
     zero: bytes
     mode: Literal["current", "speed", "position"] | int
 
-class GetPower(Record, frozen=True):
+class GetPower(_Typed, frozen=True):
     """Ask for the power.
 
     to device; source: 2b-t/myactuator_rmd, GetMotorPowerResponse
@@ -425,7 +428,7 @@ class GetPower(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Power(Record, frozen=True):
+class Power(_Typed, frozen=True):
     """The power.
 
     from device; source: MyActuator motion protocol V4.2 §
@@ -436,7 +439,7 @@ class Power(Record, frozen=True):
     power: float
     """0…6553.5 W"""
 
-class GetRunTime(Record, frozen=True):
+class GetRunTime(_Typed, frozen=True):
     """Ask for how long it has run since it was reset.
 
     to device; source: MyActuator motion protocol V4.2 §2.28
@@ -445,7 +448,7 @@ class GetRunTime(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class RunTime(Record, frozen=True):
+class RunTime(_Typed, frozen=True):
     """How long it has run since it was reset.
 
     from device; source: MyActuator motion protocol V4.2 §2.28
@@ -456,7 +459,7 @@ class RunTime(Record, frozen=True):
     time: int
     """0…4294967295 ms"""
 
-class GetVersion(Record, frozen=True):
+class GetVersion(_Typed, frozen=True):
     """Ask for the date of its software, as YYYYMMDD.
 
     to device; source: MyActuator motion protocol V4.2 §2.29
@@ -465,7 +468,7 @@ class GetVersion(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Version(Record, frozen=True):
+class Version(_Typed, frozen=True):
     """The date of its software, as YYYYMMDD.
 
     from device; source: MyActuator motion protocol V4.2 §2.29
@@ -475,7 +478,7 @@ class Version(Record, frozen=True):
     zero: bytes
     date: int
 
-class GetModel(Record, frozen=True):
+class GetModel(_Typed, frozen=True):
     """Ask for the model.
 
     to device; source: MyActuator motion protocol V4.2 §2.32
@@ -484,7 +487,7 @@ class GetModel(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Model(Record, frozen=True):
+class Model(_Typed, frozen=True):
     """The model.
 
     from device; source: MyActuator motion protocol V4.2 §2.32
@@ -493,7 +496,7 @@ class Model(Record, frozen=True):
     """the motor's number, 1 to 32"""
     model: str
 
-class GetAcceleration(Record, frozen=True):
+class GetAcceleration(_Typed, frozen=True):
     """Ask for an acceleration.
 
     to device; source: MyActuator motion protocol V4.2 §2.4
@@ -503,7 +506,7 @@ class GetAcceleration(Record, frozen=True):
     kind: Literal["position_acceleration", "position_deceleration", "speed_acceleration", "speed_deceleration"] | int
     zero: bytes
 
-class Acceleration(Record, frozen=True):
+class Acceleration(_Typed, frozen=True):
     """An acceleration.
 
     from device; source: MyActuator motion protocol V4.2 §2.4
@@ -515,7 +518,7 @@ class Acceleration(Record, frozen=True):
     acceleration: int
     """0…4294967295 °/s²"""
 
-class SetAcceleration(Record, frozen=True):
+class SetAcceleration(_Typed, frozen=True):
     """Set an acceleration, for good.
 
     to device; source: MyActuator motion protocol V4.2 §2.5
@@ -527,7 +530,7 @@ class SetAcceleration(Record, frozen=True):
     acceleration: int
     """100…60000 °/s²"""
 
-class SetAccelerationDone(Record, frozen=True):
+class SetAccelerationDone(_Typed, frozen=True):
     """The answer to SetAcceleration: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.5
@@ -539,7 +542,7 @@ class SetAccelerationDone(Record, frozen=True):
     acceleration: int
     """100…60000 °/s²"""
 
-class GetGain(Record, frozen=True):
+class GetGain(_Typed, frozen=True):
     """Ask for a gain.
 
     to device; dialect 4; source: MyActuator motion protocol V4.2 §2.1
@@ -549,7 +552,7 @@ class GetGain(Record, frozen=True):
     gain: Literal["current_kp", "current_ki", "speed_kp", "speed_ki", "position_kp", "position_ki", "position_kd"] | int
     zero: bytes
 
-class Gain(Record, frozen=True):
+class Gain(_Typed, frozen=True):
     """A gain.
 
     from device; dialect 4; source: MyActuator motion protocol V4.2 §2.1
@@ -560,7 +563,7 @@ class Gain(Record, frozen=True):
     zero: bytes
     value: float
 
-class SetGain(Record, frozen=True):
+class SetGain(_Typed, frozen=True):
     """Set a gain, until power-off.
 
     to device; dialect 4; source: MyActuator motion protocol V4.2 §2.2
@@ -571,7 +574,7 @@ class SetGain(Record, frozen=True):
     zero: bytes
     value: float
 
-class SetGainDone(Record, frozen=True):
+class SetGainDone(_Typed, frozen=True):
     """The answer to SetGain: what was sent.
 
     from device; dialect 4; source: MyActuator motion protocol V4.2 §2.2
@@ -582,7 +585,7 @@ class SetGainDone(Record, frozen=True):
     zero: bytes
     value: float
 
-class StoreGain(Record, frozen=True):
+class StoreGain(_Typed, frozen=True):
     """Set a gain, for good.
 
     to device; dialect 4; source: MyActuator motion protocol V4.2 §2.3
@@ -593,7 +596,7 @@ class StoreGain(Record, frozen=True):
     zero: bytes
     value: float
 
-class StoreGainDone(Record, frozen=True):
+class StoreGainDone(_Typed, frozen=True):
     """The answer to StoreGain: what was sent.
 
     from device; dialect 4; source: MyActuator motion protocol V4.2 §2.3
@@ -604,7 +607,7 @@ class StoreGainDone(Record, frozen=True):
     zero: bytes
     value: float
 
-class GetGains(Record, frozen=True):
+class GetGains(_Typed, frozen=True):
     """Ask for the gains.
 
     to device; dialect 3; source: 2b-t/myactuator_rmd, GetControllerGains, SetControllerGains
@@ -613,7 +616,7 @@ class GetGains(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class Gains(Record, frozen=True):
+class Gains(_Typed, frozen=True):
     """The gains.
 
     from device; dialect 3; source: 2b-t/myactuator_rmd, GetControllerGains, SetControllerGains
@@ -628,7 +631,7 @@ class Gains(Record, frozen=True):
     position_kp: int
     position_ki: int
 
-class SetGains(Record, frozen=True):
+class SetGains(_Typed, frozen=True):
     """Set the gains, until power-off.
 
     to device; dialect 3; source: 2b-t/myactuator_rmd, GetControllerGains, SetControllerGains
@@ -643,7 +646,7 @@ class SetGains(Record, frozen=True):
     position_kp: int
     position_ki: int
 
-class SetGainsDone(Record, frozen=True):
+class SetGainsDone(_Typed, frozen=True):
     """The answer to SetGains: what was sent.
 
     from device; dialect 3; source: 2b-t/myactuator_rmd, GetControllerGains, SetControllerGains
@@ -658,7 +661,7 @@ class SetGainsDone(Record, frozen=True):
     position_kp: int
     position_ki: int
 
-class StoreGains(Record, frozen=True):
+class StoreGains(_Typed, frozen=True):
     """Set the gains, for good.
 
     to device; dialect 3; source: 2b-t/myactuator_rmd, GetControllerGains, SetControllerGains
@@ -673,7 +676,7 @@ class StoreGains(Record, frozen=True):
     position_kp: int
     position_ki: int
 
-class StoreGainsDone(Record, frozen=True):
+class StoreGainsDone(_Typed, frozen=True):
     """The answer to StoreGains: what was sent.
 
     from device; dialect 3; source: 2b-t/myactuator_rmd, GetControllerGains, SetControllerGains
@@ -688,7 +691,7 @@ class StoreGainsDone(Record, frozen=True):
     position_kp: int
     position_ki: int
 
-class SetEncoderZero(Record, frozen=True):
+class SetEncoderZero(_Typed, frozen=True):
     """Set the zero of the encoder, for good.
 
     to device; source: MyActuator motion protocol V4.2 §2.9
@@ -698,7 +701,7 @@ class SetEncoderZero(Record, frozen=True):
     zero: bytes
     count: int
 
-class SetEncoderZeroDone(Record, frozen=True):
+class SetEncoderZeroDone(_Typed, frozen=True):
     """The answer to SetEncoderZero: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.9
@@ -708,7 +711,7 @@ class SetEncoderZeroDone(Record, frozen=True):
     zero: bytes
     count: int
 
-class ZeroHere(Record, frozen=True):
+class ZeroHere(_Typed, frozen=True):
     """Make the present angle its zero, for good, after Reset.
 
     to device; source: MyActuator motion protocol V4.2 §2.10
@@ -717,7 +720,7 @@ class ZeroHere(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class ZeroHereDone(Record, frozen=True):
+class ZeroHereDone(_Typed, frozen=True):
     """The zero that ZeroHere has stored.
 
     from device; source: MyActuator motion protocol V4.2 §2.10
@@ -727,7 +730,7 @@ class ZeroHereDone(Record, frozen=True):
     zero: bytes
     count: int
 
-class Reset(Record, frozen=True):
+class Reset(_Typed, frozen=True):
     """Boot anew; it is not answered.
 
     to device; source: MyActuator motion protocol V4.2 §2.25
@@ -736,7 +739,7 @@ class Reset(Record, frozen=True):
     """the motor's number, 1 to 32"""
     zero: bytes
 
-class SetTimeout(Record, frozen=True):
+class SetTimeout(_Typed, frozen=True):
     """Switch the output off when nothing came for so long; kept for good.
 
     to device; source: MyActuator motion protocol V4.2 §2.30
@@ -747,7 +750,7 @@ class SetTimeout(Record, frozen=True):
     timeout: int
     """0: none. (0…4294967295 ms)"""
 
-class SetTimeoutDone(Record, frozen=True):
+class SetTimeoutDone(_Typed, frozen=True):
     """The answer to SetTimeout: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.30
@@ -758,7 +761,7 @@ class SetTimeoutDone(Record, frozen=True):
     timeout: int
     """0: none. (0…4294967295 ms)"""
 
-class SetBitrate(Record, frozen=True):
+class SetBitrate(_Typed, frozen=True):
     """Set the bit rate, for good; what it answers is not defined.
 
     to device; source: MyActuator motion protocol V4.2 §2.31
@@ -768,7 +771,7 @@ class SetBitrate(Record, frozen=True):
     zero: bytes
     bitrate: Literal["500k", "1M"] | int
 
-class SetReport(Record, frozen=True):
+class SetReport(_Typed, frozen=True):
     """Have it send an answer (0x60, 0x61, 0x62, 0x92, 0x9A, 0x9C, 0x9D) by itself; it answers nothing else then.
 
     to device; source: MyActuator motion protocol V4.2 §2.33
@@ -781,7 +784,7 @@ class SetReport(Record, frozen=True):
     """0…655350 ms"""
     zero: bytes
 
-class Function(Record, frozen=True):
+class Function(_Typed, frozen=True):
     """A setting by its number.
 
     to device; source: MyActuator motion protocol V4.2 §2.34
@@ -792,7 +795,7 @@ class Function(Record, frozen=True):
     zero: bytes
     value: int
 
-class FunctionDone(Record, frozen=True):
+class FunctionDone(_Typed, frozen=True):
     """The answer to Function: what was sent.
 
     from device; source: MyActuator motion protocol V4.2 §2.34
@@ -803,7 +806,7 @@ class FunctionDone(Record, frozen=True):
     zero: bytes
     value: int
 
-class ToAll(Record, frozen=True):
+class ToAll(_Typed, frozen=True):
     """A command to all motors; each answers it.
 
     to device; source: MyActuator motion protocol V4.2 §3
@@ -811,7 +814,7 @@ class ToAll(Record, frozen=True):
     command: int
     data: bytes
 
-class SetId(Record, frozen=True):
+class SetId(_Typed, frozen=True):
     """Set the identifier of the only motor on the bus, for good; its answer is the same.
 
     source: MyActuator motion protocol V4.2 §4
@@ -820,7 +823,7 @@ class SetId(Record, frozen=True):
     zero2: bytes
     number: int
 
-class Id(Record, frozen=True):
+class Id(_Typed, frozen=True):
     """The identifier of its answers; 0 asks for it.
 
     source: MyActuator motion protocol V4.2 §4
@@ -829,7 +832,7 @@ class Id(Record, frozen=True):
     zero2: bytes
     answers: int
 
-class Impede(Record, frozen=True):
+class Impede(_Typed, frozen=True):
     """Motion mode: stiffness, damping and torque.
 
     to device; source: MyActuator motion protocol V4.2 §5
@@ -847,7 +850,7 @@ class Impede(Record, frozen=True):
     torque: float
     """-24…24 N·m"""
 
-class Impeding(Record, frozen=True):
+class Impeding(_Typed, frozen=True):
     """The answer to Impede.
 
     from device; source: MyActuator motion protocol V4.2 §5; its example prints 65 for the byte 66

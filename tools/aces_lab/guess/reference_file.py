@@ -99,7 +99,9 @@ def _time_column(path: str, head: Sequence[str], named: str | None) -> int:
     for number, name in enumerate(head):
         if _TIME.fullmatch(_UNIT.sub("", name).strip().lower()):
             return number
-    raise CallerError(f"{path}: no column is named like time; name it (--time COLUMN): {', '.join(head)}")
+    raise CallerError(
+        f"{path}: no column is named like time; name it (--time-column COLUMN): {', '.join(head)}"
+    )
 
 
 def _numbers(path: str, rows: Iterator[list[str]], instants: int, at: int) -> tuple[Array, Array]:

@@ -21,14 +21,15 @@ What never changed is a constant of this recording, and no more than that; the
 longer a recording is and the more happens in it, the better the guesses.
 
 A reference's instants are in the column that is named like time (time, t_ms,
-timestamp …), or in that of --time: seconds, Unix time in s, ms, us or ns, or
-dates in ISO 8601 (UTC where they name no zone). Where they are not of the
-recording's time, both are taken to begin together; --delay says how far off that
-may be.
+timestamp …), or in that of --time-column: seconds, Unix time in s, ms, us or
+ns, or dates in ISO 8601 (UTC where they name no zone). Where they are not of
+the recording's time, both are taken to begin together; --delay says how far
+off that may be.
 
 exit status: 0 guessed, or known already; 1 no field follows the reference, or
--o and no draft was written (a draft is loaded and checked before); 2 a wrong call, or a recording that is
-empty or cannot be read (what a damaged one holds is guessed nevertheless)
+-o and no draft was written (a draft is loaded and checked before); 2 a wrong
+call, or a recording that is empty or cannot be read (what a damaged one holds
+is guessed nevertheless)
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ ARGUMENTS: Arguments = (
         metavar="DURATION",
         help="the longest delay between reference and field, either way (default: 0.6s; at most 1min)",
     ),
-    argument("--time", metavar="COLUMN", help="the column of the reference's instants"),
+    argument("--time-column", metavar="COLUMN", help="the column of the reference's instants"),
     argument("--unit", default="", help="the unit of the reference's values"),
     JSON.but(help="all guesses as JSON"),
     COLOR,
@@ -112,15 +113,15 @@ def run(arguments: argparse.Namespace) -> int:
     check_suffix("-o", arguments.output, ".py")
     if arguments.output is not None and os.path.exists(arguments.output) and not arguments.force:
         raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
-    if arguments.reference is None and (arguments.time or arguments.unit or arguments.delay):
-        raise CallerError("--time, --unit and --delay are of a --reference")
+    if arguments.reference is None and (arguments.time_column or arguments.unit or arguments.delay):
+        raise CallerError("--time-column, --unit and --delay are of a --reference")
     latest_s = LATEST if arguments.delay is None else arguments.delay * 1e-9
     if latest_s > 60:
         raise CallerError("--delay: at most 1min; shift the reference's instants first")
     quantity = (
         None
         if arguments.reference is None
-        else read_quantity(arguments.reference, arguments.time, arguments.unit)
+        else read_quantity(arguments.reference, arguments.time_column, arguments.unit)
     )
     traffic, stream = Traffic(), StreamTraffic()
     status = 0

@@ -208,6 +208,11 @@ def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordL
         named = (path for path in plan.walk() if all(isinstance(step, str) for step in path.way))
         nodes = tuple(path for path in named if not path.node.is_record)
     return [
-        RecordLeaf(path.path, path.way, path.node, getter(path.way), bool(path.whens), path.is_inside)
+        RecordLeaf(path.path, path.way, path.node, getter(path.way), _may_be_absent(path), path.is_inside)
         for path in nodes
     ]
+
+
+def _may_be_absent(path: p.NodePath) -> bool:
+    """Return whether a value, or the field that it is in, is there in some records only."""
+    return bool(path.whens) or (path.node is not path.field.node and path.field.node.may_be_none)

@@ -51,7 +51,7 @@ function _shtab_aces_using
 end
 
 set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion
-set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -466,7 +466,7 @@ complete -c aces -n '_shtab_aces_using spec guess' -l force -d 'overwrite a draf
 complete -c aces -n '_shtab_aces_using spec guess' -l no-known -d 'guess everything, also what an installed protocol decodes'
 complete -c aces -n '_shtab_aces_using spec guess' -l reference -xka "(__fish_complete_path (commandline -ct))" -d 'a quantity that was measured meanwhile: find its field (implies --no-known)'
 complete -c aces -n '_shtab_aces_using spec guess' -l delay -x -d 'the longest delay between reference and field, either way (default: 0.6s; at most 1min)'
-complete -c aces -n '_shtab_aces_using spec guess' -l time -x -d 'the column of the reference'"'"'s instants'
+complete -c aces -n '_shtab_aces_using spec guess' -l time-column -x -d 'the column of the reference'"'"'s instants'
 complete -c aces -n '_shtab_aces_using spec guess' -l unit -x -d 'the unit of the reference'"'"'s values'
 complete -c aces -n '_shtab_aces_using spec guess' -l json -d 'all guesses as JSON'
 complete -c aces -n '_shtab_aces_using spec guess' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
