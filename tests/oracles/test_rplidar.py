@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import random
-import time
 from itertools import islice
 from typing import Any
 
@@ -20,12 +19,12 @@ from aces_devices.rplidar.twin import NOISE, SERIAL, WALLS
 from aces_protocols.rplidar.spec import EXPRESS, rplidar
 from tests.oracles.foreign import oracle
 from tests.oracles.serial_lines import served_line
+from tests.oracles.served import wait_until
 
 kit: Any = oracle("rplidar", "rplidar")
 protocol: Any = oracle("pyrplidar_protocol", "pyrplidar")
 
 DRAWN = 4000
-PATIENCE_S = 5.0
 
 
 def test_measurements_mean_the_same() -> None:
@@ -156,7 +155,5 @@ def test_its_client_works_with_the_twin(monkeypatch: pytest.MonkeyPatch) -> None
             off = math.radians(angle - round(angle / 90) * 90)
             assert distance / 1000 * math.cos(off) == pytest.approx(wall, abs=6 * NOISE)
         twin: Any = line.twins["LIDAR"]
-        end = time.monotonic() + PATIENCE_S
-        while twin.is_scanning and time.monotonic() < end:
-            time.sleep(0.01)
-        assert (twin.is_scanning, twin.duty) == (False, kit.DEFAULT_MOTOR_PWM)
+        wait_until(lambda: not twin.is_scanning)
+        assert twin.duty == kit.DEFAULT_MOTOR_PWM

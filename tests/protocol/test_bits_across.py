@@ -188,7 +188,7 @@ def _around(value: float) -> list[int]:
     ]
 
 
-@pytest.mark.parametrize("value", [-1001, 32768, float("nan"), float("inf"), "high", None])
+@pytest.mark.parametrize("value", [-1001, 32768, -1.7e308, 1.7e308, float("nan"), float("inf"), "high", None])
 def test_what_neither_scale_says_is_refused(value: Any) -> None:
     """A value outside both scales, or no number, is an error that names the field."""
     with pytest.raises(FieldError, match="Height: height: "):

@@ -1,4 +1,4 @@
-"""Whether a layout's bits are counted from the wrong end: then its numbers jump, and in the other order they are smooth.
+"""Finds layouts whose bits are counted from the wrong end: their numbers jump, and are smooth in the other order.
 
 1. A number of whole bytes is left to `numbers`; here are those that begin or end inside a byte.
 2. Steps are summed up as they come, a number of the layout in both orders of bits.

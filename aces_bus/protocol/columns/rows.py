@@ -148,7 +148,7 @@ class RowDecoder:
         return ""
 
     def _shape(self, message: Message, plan: p.MessagePlan) -> str:
-        """Make the decoder of the wide rows; return why there is none."""
+        """Make the decoder of the wide rows. Return the reason where rows cannot be decoded so, else an empty text."""
         self._shaped = ShapedRows(Shapes(message), plan)
         constants = tuple(constant for constant in plan.constants if constant not in self.plan.constants)
         inside = replace(
@@ -479,7 +479,7 @@ def _stepped(
             value = np.where(value < half, value, half - value)
         for scale in scales:
             if isinstance(scale, p.ScaleByBit):
-                clear, set_ = (value % scale.half * one.scale + one.offset for one in scale.scales)
+                clear, set_ = (value % scale.half * part.scale + part.offset for part in scale.scales)
                 value = np.where(value < scale.half, clear, set_)
                 continue
             if scale.unknown:

@@ -1,4 +1,4 @@
-"""Packets whose fields are there by bits: where the fields of many packets stand, and rows in which each has a fixed place.
+"""Columns of fields that are there by bits: finds their places in many packets, and makes rows of fixed places.
 
 1. Of each packet it says what `Shapes` says of one; how many shapes there are among the packets costs nothing.
 2. In a wide row each field stands where a packet with all fields has it; what is not there is any bytes, but the fields in
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 class FieldPlace(NamedTuple):
-    """Where a field stands: in which packets it is there (a bool for all of them), and its offset in each."""
+    """The place of a field: the packets that have it (a bool for all of them), and its offset in each packet."""
 
     there: Array | bool
     offset: Array | int
 
 
 class FieldPlaces:
-    """Where the fields of a message stand; one of open size counts with its least size."""
+    """The places of a message's fields; a field of open size counts with its least size."""
 
     def __init__(self, shapes: Shapes) -> None:
         self.names = [item.name for item, _ in shapes.items]

@@ -299,6 +299,12 @@ def top(count: int, *, bits: int | None = None) -> TopValues:
     return TopValues(count, bits, caller())
 
 
+def _outside(path: str, value: Any, unit: str, span: str) -> FieldError:
+    """Return the error of a value beyond the values that can be sent."""
+    unit = unit and f" {unit}"
+    return FieldError(f"{path}: {value!r}{unit} is outside {span}{unit}")
+
+
 class Quantity(Field):
     """A number with a unit: physical = raw × `scale` + `offset`.
 
@@ -332,6 +338,8 @@ class Quantity(Field):
             raise SpecError(f"{self.place}: rounding is 'nearest' or 'truncate', not {rounding!r}")
         self.unit, self.scale, self.offset = unit, scale, offset
         self.range, self.raw_range = self._bounds(range), self._bounds(raw_range)
+        #: The raw numbers that can be sent; None: all that the subcon takes.
+        self._limits = self.raw_range or raw_limits(subcon)
         if isinstance(unknown, (str, numbers.Real)):
             raise SpecError(f"{self.place}: unknown lists raw values, as in ({unknown!r},)")
         # The subcon shows whether the wire carries a float; found once, when the spec is read.
@@ -415,11 +423,7 @@ class Quantity(Field):
         if self.range is not None:
             low, high = self.range
             if not low - self._slack <= value <= high + self._slack:
-                raise FieldError(
-                    f"{path}: {value!r} {self.unit} is outside {low}…{high} {self.unit}".replace(
-                        "  ", " "
-                    ).rstrip()
-                )
+                raise _outside(path, value, self.unit, f"{low}…{high}")
         number: Any = value
         try:
             if self.scale != 1 or self.offset:
@@ -433,14 +437,10 @@ class Quantity(Field):
         except (OverflowError, ValueError):  # infinite, NaN, or an integer that no float holds
             raise FieldError(f"{path}: {value!r} cannot be sent with a scale of {self.scale}") from None
         self._refuse_sentinel(number, value, path)
-        limits = self.raw_range or raw_limits(self.subcon)
+        limits = self._limits
         if limits is not None and not limits[0] <= number <= limits[1]:
             low, high = (edge * self.scale + self.offset for edge in limits)
-            raise FieldError(
-                f"{path}: {value!r} {self.unit} is outside {low:.10g}…{high:.10g} {self.unit}".replace(
-                    "  ", " "
-                ).rstrip()
-            )
+            raise _outside(path, value, self.unit, f"{low:.10g}…{high:.10g}")
         return number
 
     def _refuse_sentinel(self, number: Any, value: Any, path: str) -> None:
@@ -544,14 +544,9 @@ class TwoScales(Field):
             raise FieldError(f"{path}: {value!r} is not a number that can be sent")
         raw = raw_of_two(number, self.half, self.scales)
         if raw is None:
-            raise FieldError(f"{path}: {value!r} {self.unit} is outside {self.span}")
+            ends = [sorted((offset, (self.half - 1) * scale + offset)) for scale, offset in self.scales]
+            raise _outside(path, value, self.unit, " and ".join(f"{low:g}…{high:g}" for low, high in ends))
         return raw
-
-    @property
-    def span(self) -> str:
-        """The values that can be sent, in words."""
-        ends = [sorted((offset, (self.half - 1) * scale + offset)) for scale, offset in self.scales]
-        return " and ".join(f"{low:g}…{high:g} {self.unit}".strip() for low, high in ends)
 
 
 def raw_of_two(value: float, half: int, scales: Sequence[tuple[float, float]]) -> int | None:
@@ -561,7 +556,7 @@ def raw_of_two(value: float, half: int, scales: Sequence[tuple[float, float]]) -
     found: list[tuple[float, float, int]] = []
     is_inside = False
     for top, (scale, offset) in zip((0, half), scales, strict=True):
-        part = round((value - offset) / scale)
+        part = round(min(max((value - offset) / scale, -1.0), float(half)))  # which may be infinite
         is_inside |= 0 <= part < half
         part = min(max(part, 0), half - 1)
         miss = abs(part * scale + offset - value)

@@ -47,18 +47,21 @@ class NotThisError(ConstructError):
 
 
 class LengthError(ConstructError):
-    """The packet is this message by its constants, but too short or too long; `what` says how long it may be."""
+    """The packet is this message by its constants, but too short or too long."""
 
     def __init__(self, message: Message, why: str, path: str, error: StreamError | None = None) -> None:
         super().__init__(why, path=path)
-        self.what = f"{message.name} has {message.describe_lengths}"
-        where = (getattr(error, "path", "") or "").removeprefix(path).split(" -> ")[1:2]
+        self._message = message
+        self._where = (getattr(error, "path", "") or "").removeprefix(path).split(" -> ")[1:2]
+
+    @property
+    def what(self) -> str:
+        """Sizes that the message can have; of a list that ends before its last item, the field that counts its items."""
+        message, where = self._message, self._where
         for subcon in getattr(message.payload, "subcons", ()) if where else ():
-            # Where a list ends before its last item, its count is to be looked at.
             if subcon.name == where[0] and (names := re.findall(r"\['(\w+)'\]", repr(_count_of(subcon)))):
-                self.what = (
-                    f"too short for the items of {message.name}.{where[0]} that {'.'.join(names)} counts"
-                )
+                return f"too short for the items of {message.name}.{where[0]} that {'.'.join(names)} counts"
+        return f"{message.name} has {message.describe_lengths}"
 
 
 class WrongCheckError(ConstructError):

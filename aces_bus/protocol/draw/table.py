@@ -202,8 +202,8 @@ def _scaling(node: p.Node) -> tuple[str, str, str]:
     """Scale, offset and stated range of a value; empty where there is none."""
     step = node.scale
     if (both := node.by_bit) is not None:
-        scale = " or ".join(_short(one.scale) for one in both.scales)
-        offset = " or ".join(_short(one.offset) for one in both.scales)
+        scale = " or ".join(_short(part.scale) for part in both.scales)
+        offset = " or ".join(_short(part.offset) for part in both.scales)
         return scale, offset, " or ".join("…".join(map(_short, ends)) for ends in both.spans)
     if step is None:
         return "", "", ""

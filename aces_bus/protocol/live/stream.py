@@ -438,9 +438,7 @@ class StreamScanner:
 
 def has_size(framing: Framing) -> bool:
     """Return whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
-    if framing.covers_request:
-        return False
-    return bool(framing.sync) and not framing.end and not framing.is_silent
+    return bool(framing.sync) and not (framing.end or framing.is_silent or framing.covers_request)
 
 
 def _judge(

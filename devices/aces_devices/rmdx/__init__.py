@@ -1,8 +1,8 @@
 """MyActuator RMD-X motors (also RMD-L, RMD-H): a joint by position, speed or current.
 
-1. A motor obeys every command of motion at once, and has no state "enabled": it is on when it has answered one, and off
-   when it has answered ShutDown. None is sent before `enable`, and none after an error, a reset or silence, until it is
-   enabled anew.
+1. The motor obeys every command of motion at once and cannot be enabled: it is on when it has answered such a command, and
+   off when it has answered ShutDown. The driver sends none before `enable`, and none after an error, a reset or silence,
+   until `enable` is called again.
 2. A command of motion is answered with current and speed; in a tick that sends none they are asked for.
 3. Without a time-out (`watchdog_s`) it carries out its last command for ever.
 

@@ -247,8 +247,8 @@ class RoboclawTwin(Twin):
         elif kind.startswith("Mixed"):
             self._mix(kind[5:], fields["speed"])
         else:
-            for one in (motor,) if motor else (1, 2):
-                self._move_one(one, _of_motor(kind, fields, one))
+            for number in (motor,) if motor else (1, 2):
+                self._move_one(number, _of_motor(kind, fields, number))
 
     def _move_one(self, motor: int, fields: dict[str, Any]) -> None:
         now = self.clock.now()
