@@ -52,6 +52,7 @@ class PollSlot:
         "device",
         "due",
         "every_ns",
+        "has_counter",
         "note",
         "packet",
         "poll",
@@ -79,6 +80,8 @@ class PollSlot:
         self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
+        #: Its packet has a rolling counter, and is built anew for each round.
+        self.has_counter = bool(device.variant[poll.message].counters)
         self.retime(poll)
         self.timeout_ns = self.ticket.timeout_ns
         self.due = self.asked_at = 0

@@ -96,8 +96,11 @@ class Polling:
         """Build a device's polls anew after its credentials have changed."""
         for slot in self.slots:
             if slot.device is device:
-                packet = self.host.packet(device, slot.poll.message, slot.poll.fields)
-                slot.ask_with(packet, self._noting(packet))
+                self._build(slot)
+
+    def _build(self, slot: PollSlot) -> None:
+        packet = self.host.packet(slot.device, slot.poll.message, slot.poll.fields)
+        slot.ask_with(packet, self._noting(packet))
 
     def postpone(self, device: Device, message: str, until: int) -> None:
         """Ask a device with this message not before this instant (ns)."""
@@ -164,6 +167,8 @@ class Polling:
             slot.asked_at = now
             slot.waiting = ticket = slot.ticket
             ticket.tries, ticket.reply = 1, slot.replies
+            if slot.has_counter:
+                self._build(slot)
             if is_open and send(slot.packet, slot.timeout_ns, topic=slot.device):
                 sent += 1
                 slot.note()
@@ -252,6 +257,8 @@ class Polling:
         slot.asked_at = now
         slot.waiting = ticket = slot.ticket
         ticket.tries, ticket.reply = 0, slot.replies if reply is None else reply
+        if slot.has_counter and reply is None:
+            self._build(slot)
         host.counts.polls += 1
         if line is not None and reply is None:
             line.poll(slot, ticket, now)

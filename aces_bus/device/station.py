@@ -18,6 +18,7 @@ from ..compiling import mypyc_attr
 from ..errors import CallerError
 from ..protocol import CanScanner, Record, Variant
 from ..protocol.declare.message import Message
+from ..protocol.encoder import Counts
 from ..protocol.live.scanner import make_scanner
 from ..protocol.live.stream import StreamScanner
 from ..protocol.record import Unknown as UnknownRecord
@@ -119,6 +120,8 @@ class BusEndpoint(Generic[M]):
         self._routes: dict[type, _Route[M]] = {}
         #: By member and message: what makes the frame or packet of it, credentials included.
         self._writers: dict[tuple[str, str], Callable[[Mapping[str, Any]], Any]] = {}
+        #: By protocol: the rolling counters of what this side has sent.
+        self._counts: dict[str, Counts] = {}
         #: A datagram is whole: what it leaves incomplete, the next one does not continue.
         self._feed: Callable[[Any], list[Any]] = (
             self.scanner.datagram
@@ -329,7 +332,8 @@ class BusEndpoint(Generic[M]):
         write = self._writers.get((member.name, message))
         if write is None:
             found = member.variant[message]
-            write = member.variant.encoder.writer(found, tags_of(member, found))
+            counts = self._counts.setdefault(member.variant.name, {})
+            write = member.variant.encoder.writer(found, tags_of(member, found), counts)
             self._writers[member.name, message] = write
         return write(fields)
 

@@ -27,6 +27,9 @@ from .generate.source import NameScope, comment_line
 #: Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD.
 CanParts = tuple[int, bytes, bool, bool, bool]
 
+#: The last value of each rolling counter of each device, by `Message.counter_key`.
+Counts = dict[tuple[Any, ...], int]
+
 
 class UnusualValue(Exception):
     """A value that a printed encoder leaves to construct."""
@@ -37,7 +40,7 @@ class Encoder:
 
     def __init__(self, variant: Variant) -> None:
         self.variant = variant
-        self._counters: dict[tuple[Any, ...], int] = {}
+        self._counters: Counts = {}
         #: Packets that `next` has sent, by transport and key: some transports number them.
         self._sequences: dict[tuple[int, int], int] = {}
         self._quick, self.source, self.through_construct = quick_encoders(variant)
@@ -58,13 +61,7 @@ class Encoder:
         and packets of a transport numbered as it numbers them.
         """
         found = self.variant[message]
-        who = tuple(fields.get(capture.name) for capture in found.identifier.captures)
-        for name, modulo in found.counters.items():
-            if name not in fields:
-                key = (message, name, who)
-                self._counters[key] = (self._counters.get(key, -1) + 1) % modulo
-                fields[name] = self._counters[key]
-        return self.build(found, fields, number=None)
+        return self.build(found, _counted(found, fields, self._counters), number=None)
 
     def numbered(self, number: int, message: str, /, **fields: Any) -> Any:
         """Encode like `encode`, a packet of a transport with this sequence number: an answer that has that of
@@ -125,18 +122,23 @@ class Encoder:
         ]
 
     def writer(
-        self, message: Message, tags: Mapping[str, Any]
+        self, message: Message, tags: Mapping[str, Any], counts: Counts | None = None
     ) -> Callable[[Mapping[str, Any]], Frame | bytes | tuple[Frame | bytes, ...]]:
         """Return a `packet` function of one message for one device: its fields `tags` are prepared, and need
-        not be given again. Of a message that a transport carries it returns a tuple of frames.
+        not be given again. Of a message that a transport carries it returns a tuple of frames. Rolling counters that are
+        not given go on from `counts`, which is kept by whoever sends.
         """
         quick = self._quick.get(message.name)
 
+        def whole(fields: Mapping[str, Any]) -> dict[str, Any]:
+            given = {**tags, **fields}
+            return given if counts is None else _counted(message, given, counts)
+
         def usual(fields: Mapping[str, Any]) -> Frame | bytes:
-            return self.packet(message, {**tags, **fields})
+            return self.packet(message, whole(fields))
 
         if message.transport is not None:
-            return lambda fields: tuple(self.as_sent(message, {**tags, **fields}))
+            return lambda fields: tuple(self.as_sent(message, whole(fields)))
         if quick is None or message.framing is not None:
             return usual
         known = {**self._unsaid.get(message.name, {}), **tags}
@@ -272,6 +274,16 @@ def quick_encoders(
     called = {"Struct": struct.Struct, "Unusual": UnusualValue, **names.bound}
     space = load_source(source, f"aces {variant.label} encoders", called)
     return {name: space[function] for name, function in functions.items()}, source, others
+
+
+def _counted(message: Message, fields: dict[str, Any], counts: Counts) -> dict[str, Any]:
+    """Return fields with the rolling counters that are not given: each one more than the last in `counts`."""
+    found = dict(fields)
+    for name, modulo in message.counters.items():
+        if name not in fields:
+            key = message.counter_key(name, fields)
+            found[name] = counts[key] = (counts.get(key, -1) + 1) % modulo
+    return found
 
 
 def _frame(parts: CanParts) -> Frame:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from construct import Byte, Int8sl, Int16ul, Struct, this
 
 from aces_bus.device import Device, Driver, Poll, Robot, Ticket, Twin, on, signal
-from aces_bus.protocol import IdField, InvertedSum, Protocol, Quantity
+from aces_bus.protocol import Counter, IdField, InvertedSum, Protocol, Quantity
 from aces_bus.robot import parse_robot
 
 fan = Protocol("fan", link="can", bitrate=500_000)
@@ -120,9 +120,53 @@ SERIAL_FAN = Driver(
 )
 
 
+# ---------------------------------------------------------------------- a line whose header counts packets
+
+counted_fan = Protocol("counted_fan", link="serial", baud=115_200)
+counted = counted_fan.framing(
+    sync=b"\xa5",
+    header=Struct("node" / Byte, "count" / Counter(Byte), "kind" / Byte, "length" / Byte),
+    size=this.length + 6,
+    max_size=32,
+    gap=0.05,
+    check=InvertedSum(),
+)
+counted("Ask", direction="to device", match={"kind": 1, "node": Node})
+counted("Set", direction="to device", match={"kind": 2, "node": Node}, payload=Speeds)
+counted(
+    "State",
+    direction="from device",
+    match={"kind": 3, "node": Node},
+    payload=Struct(*Speeds.subcons, "temperature" / Quantity(Int8sl, unit="°C")),
+)
+
+
+class CountedFan(Fan):
+    """The same registers; each side counts its packets."""
+
+    protocol = counted_fan
+
+
+class CountedFanTwin(FanTwin):
+    """The same twin."""
+
+    protocol = counted_fan
+
+
+COUNTED_ROBOT = ROBOT.replace('"fan"', '"counted_fan"').replace('"can"', '"serial"')
+COUNTED_FAN = Driver(
+    "counted_fan",
+    CountedFan,
+    CountedFanTwin,
+    COUNTED_ROBOT,
+    doc="Two fans on a board",
+    source="invented for tests",
+)
+
+
 def drivers(name: str) -> Driver:
     """The drivers of these robots."""
-    return {"fan": FAN, "serial_fan": SERIAL_FAN}[name]
+    return {"fan": FAN, "serial_fan": SERIAL_FAN, "counted_fan": COUNTED_FAN}[name]
 
 
 def robot_of(text: str) -> Robot:

@@ -15,7 +15,7 @@ from aces_bus.device.host import Host
 from aces_bus.errors import CallerError, FieldError, NoReplyError, UnknownNameError
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
-from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, Fan, FanTwin, drivers, robot_of
+from tests.device.fan import COUNTED_ROBOT, ROBOT, RPM, SERIAL_ROBOT, Fan, FanTwin, drivers, robot_of
 from tests.interpreted import replaces_methods
 
 
@@ -52,6 +52,22 @@ def test_set_points_of_a_board_are_one_frame() -> None:
         robot.advance(0.03)
         frames = [frame for frame in recorder.frames() if frame.arbitration_id == 0x111]
         assert [frame.data.hex() for frame in frames] == ["6400c800"] * 3
+
+
+def test_both_sides_count_the_packets_of_each_device() -> None:
+    """Polls, set-points and answers carry a counter on, for each device: neither side finds that any was lost."""
+    with made(COUNTED_ROBOT) as robot:
+        for name in "AB":
+            robot[f"{name}.left"].set(100 * RPM)
+            robot[f"{name}.right"].set(200 * RPM)
+        robot.advance(1.0)
+        host, twin = host_of(robot), robot.twins["A"]
+        twins = twin.twins
+        assert host.scanner.counts.missed == twins.scanner.counts.missed == 0
+        assert twins.scanner.counts.records > host.counts.polls > 190
+        twins.packet(twin, "State", {"left": 0, "right": 0, "temperature": 0})  # built, and lost on its way
+        robot.advance(0.1)
+        assert host.scanner.counts.missed == 1
 
 
 def test_a_writer_writes_what_the_encoder_does() -> None:

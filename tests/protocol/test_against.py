@@ -284,6 +284,24 @@ def test_a_counter_that_begins_anew_is_a_warning() -> None:
     assert rules(held(stream, data)) == ["counter"]
 
 
+def test_a_counter_of_all_packets_is_found_in_the_header() -> None:
+    """Packets of each message alone skip counts; declared as a Counter, it is a finding no longer."""
+
+    def spec(count: Any) -> Protocol:
+        stream = Protocol("several", link="serial")
+        framing = stream.framing(sync=b"\xa5", header=Struct("count" / count, "kind" / Byte), size=5)
+        for kind in range(3):
+            framing(f"M{kind}", match={"kind": kind}, payload=Struct("x" / Int16sl))
+        return stream
+
+    numbers = [(n % 256, n * n % 7 % 3, wave(n, 9000)) for n in range(600)]
+    data = b"".join(
+        bytes([0xA5, count, kind]) + x.to_bytes(2, "little", signed=True) for count, kind, x in numbers
+    )
+    assert rules(held(spec(Byte), data)) == ["counter"]
+    assert rules(held(spec(Counter(Byte)), data)) == []
+
+
 def test_fields_that_bits_say_are_watched() -> None:
     """Ranges and steps of fields that are not always there."""
     payload = Struct(

@@ -10,7 +10,7 @@ from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
 
 from aces_bus import Frame, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Counter, Crc, InvertedSum, Protocol
+from aces_bus.protocol import Counter, Crc, IdField, InvertedSum, Protocol
 from aces_bus.protocol.exchange import print_dissector
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.reference import Reference
@@ -194,6 +194,47 @@ def test_rolling_counters_of_a_stream_say_what_is_missing() -> None:
     columns.feed(data)
     columns.close()
     assert scanner.counts.missed == columns.counts.missed == 2 + 1 + 255
+
+
+def counted_header() -> Protocol:
+    """A counter in the header, which counts the packets of each sender, whatever their messages."""
+    made = Protocol("counted_header", link="serial")
+    packet = made.framing(
+        sync=b"\xaa",
+        header=Struct("address" / Byte, "kind" / Byte, "count" / Counter(Byte, 16)),
+        size=6,
+        check=InvertedSum(),
+    )
+    address = IdField("address", range(1, 9))
+    for kind, name in ((1, "Angle"), (2, "Speed")):
+        packet(name, match={"kind": kind, "address": address}, payload=Struct("value" / Byte))
+    return made
+
+
+def test_a_counter_in_the_header_counts_packets_of_all_messages() -> None:
+    """It is one more in each packet of a device, whichever message that is: live, in columns, and when sending."""
+    made = counted_header()
+    sent = [
+        ("Angle", 1, 14),
+        ("Speed", 1, 15),
+        ("Angle", 2, 3),
+        ("Angle", 1, 0),
+        ("Speed", 1, 4),
+        ("Speed", 2, 5),
+    ]
+    data = b"".join(made.encode(name, address=who, count=count, value=1) for name, who, count in sent)
+    scanner, columns = made.scanner(), make_column_scanner([made.variant()])
+    for byte in data:
+        scanner.feed(bytes([byte]))
+    columns.feed(data)
+    columns.close()
+    assert scanner.counts.missed == columns.counts.missed == 3 + 1
+    encoder = made.variant().encoder
+    packets = [encoder.next(name, address=who, value=1) for name, who, _ in 9 * sent]
+    again = made.scanner()
+    counts = [record.count for packet in packets for record in again.feed(packet) if record.address == 1]
+    assert counts == [number % 16 for number in range(36)]
+    assert again.counts.missed == 0
 
 
 def test_directions_are_said_in_either_words() -> None:

@@ -21,6 +21,7 @@ from ..lint.finding import sort_key
 from ..protocol import Protocol
 from .fields import AGAIN, MessageWatch
 from .finding import Moment, Observation
+from .header_counts import HeaderCounts
 from .hidden import KEPT, PacketSample, hidden_check
 from .losses import Losses, Opcodes, lost_bytes, lost_frames, lost_packets
 
@@ -70,6 +71,7 @@ class RecordingCheck:
         self._framings = list(
             dict.fromkeys(m.framing for m in self._messages.values() if m.framing is not None)
         )
+        self._header_counts = [HeaderCounts(framing) for framing in self._framings if framing.heads]
         self._opcodes = Opcodes(self._messages.values())
         self._watches: dict[tuple[str, str], MessageWatch] = {}
         self._waiting: dict[tuple[str, str], list[MessageTable]] = {}
@@ -144,10 +146,16 @@ class RecordingCheck:
 
     def _look(self) -> None:
         """Look at what was gathered."""
+        gathered: list[tuple[Message, MessageTable]] = []
         for who, tables in self._waiting.items():
             if who not in self._watches:
                 self._watches[who] = MessageWatch(self._messages[who])
-            self._watches[who].take(MessageTable.concat(tables, is_lazy=True), self._locate)
+            gathered.append((self._messages[who], MessageTable.concat(tables, is_lazy=True)))
+            self._watches[who].take(gathered[-1][1], self._locate)
+        for counts in self._header_counts:
+            mine = [(message, table) for message, table in gathered if message.framing is counts.framing]
+            if mine:
+                counts.take(mine)
         self._waiting, self._waits = {}, 0
 
     def _take_samples(
@@ -204,6 +212,11 @@ class RecordingCheck:
         for who, watch in self._watches.items():
             yield from watch.observations()
             yield from self._of_checks(watch, self._samples.get(who, []))
+        known = {
+            (w.message.name, f.leaf.path) for w in self._watches.values() for f in w.fields if f.counts_up
+        }
+        for counts in self._header_counts:
+            yield from counts.observations(known)
         for way, losses in self._losses.items():
             if self.is_can:
                 yield from lost_frames(losses, self.variants, seen)

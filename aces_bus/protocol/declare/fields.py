@@ -702,7 +702,8 @@ class Flags(Field):
 class Counter(Field):
     """A rolling counter: each packet of a device is `modulo` arithmetic one more than the last.
 
-    Scanners count what it says was missed (`counts.missed`); a stateful encoder fills it in, a plain one takes 0.
+    In the header of a framing it counts the packets of all its messages. Scanners count what it says was missed
+    (`counts.missed`); a stateful encoder, drivers and twins fill it in, a plain encoder takes 0.
     """
 
     def __init__(self, subcon: Construct, modulo: int | None = None) -> None:

@@ -516,15 +516,26 @@ class Message:
 
     @cached_property
     def counters(self) -> dict[str, int]:
-        """Rolling counters of the payload, with their modulus."""
+        """Rolling counters of head and payload, with their modulus."""
         payload = self.payload
+        fields = [(head.name, head.field) for head in self.heads if head.pattern is None]
         if isinstance(payload, BitLayout):
-            return {s.name: s.field.modulo for s in payload.slots if isinstance(s.field, Counter)}
-        if isinstance(payload, c.Struct):
-            return {
-                i.name: i.subcon.modulo for i in payload.subcons if i.name and isinstance(i.subcon, Counter)
-            }
-        return {}
+            fields += [(slot.name, slot.field) for slot in payload.slots]
+        elif isinstance(payload, c.Struct):
+            fields += [(item.name, getattr(item, "subcon", None)) for item in payload.subcons]
+        return {name: field.modulo for name, field in fields if name and isinstance(field, Counter)}
+
+    def counter_key(self, name: str, values: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Return what the rolling counter `name` counts, by the raw fields of a packet: packets of one device, of this
+        message, or of one direction of its framing where the counter is in the framing's header.
+        """
+        pattern_of = (
+            [self.identifier] if self.framing is None else [h.pattern for h in self.heads if h.pattern]
+        )
+        device = [values.get(capture.name) for pattern in pattern_of for capture in pattern.captures]
+        if self.framing is not None and any(head.name == name for head in self.framing.heads):
+            return (self.framing.name, self.direction, name, *device)
+        return (self.name, name, *device)
 
     @cached_property
     def constants(self) -> tuple[tuple[int, bytes], ...]:

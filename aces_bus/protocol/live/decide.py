@@ -82,14 +82,13 @@ class Decider:
         self.missed = 0
         #: The key of the last packet that is recognised only with its request, and why; asked by `need_of`.
         self._need: tuple[int, str] = (-1, "")
-        #: By message: the last value of each rolling counter of each device, whichever function decodes it.
-        self.last_counts: dict[str, dict[Any, int]] = {}
+        #: The last value of each rolling counter of each device on each channel, whichever function decodes it.
+        self.last_counts: dict[tuple[Any, ...], int] = {}
 
     def reset(self) -> None:
         """Forget requests and rolling counters."""
         self.context.reset()
-        for last in self.last_counts.values():
-            last.clear()
+        self.last_counts.clear()
         self.missed, self._need = 0, (-1, "")
 
     def need_of(self, key: int) -> str:
@@ -279,22 +278,20 @@ _names: WeakKeyDictionary[type, tuple[str, ...]] = WeakKeyDictionary()
 
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
     """Watch a message's rolling counters and count what they show as missed."""
-    last = decider.last_counts.setdefault(message.name, {})
+    last = decider.last_counts
     raw = decider.raw_decoders[message.name]
-    captures = [c.name for c in message.identifier.captures]
 
     def counted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
         record = decode(data, key, time, channel, packet, rx)
         if record is not None:
-            seen = raw(data, key, time, channel, packet, rx)
-            who = (channel, *(getattr(seen, n) for n in captures))
+            seen = _values(raw(data, key, time, channel, packet, rx))
             for name, modulo in message.counters.items():
-                value = getattr(seen, name)
-                before = last.get((name, who))
+                who = (channel, *message.counter_key(name, seen))
+                before = last.get(who)
                 if before is not None:
-                    decider.missed += (value - before - 1) % modulo
+                    decider.missed += (seen[name] - before - 1) % modulo
                 if before is not None or len(last) < REMEMBERED:
-                    last[name, who] = value
+                    last[who] = seen[name]
         return record
 
     return counted
