@@ -11,7 +11,18 @@ from .._lazy import lazy_names
 
 if TYPE_CHECKING:
     from .declare.bits import BitLayout, Split, Tuple, bits, float_bits
-    from .declare.checks import Check, Crc, Extra, Fletcher, IdBytes, InvertedSum, RequestBytes, Sum, Xor
+    from .declare.checks import (
+        Check,
+        Crc,
+        DataIds,
+        Extra,
+        Fletcher,
+        IdBytes,
+        InvertedSum,
+        RequestBytes,
+        Sum,
+        Xor,
+    )
     from .declare.delimited import (
         AsciiDegrees,
         AsciiEnumeration,
@@ -65,6 +76,7 @@ __all__ = [
     "Counter",
     "Crc",
     "CutZeros",
+    "DataIds",
     "Delimited",
     "Enumeration",
     "Escaped",
@@ -114,7 +126,7 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         ".declare.bits": "BitLayout Split Tuple bits float_bits",
-        ".declare.checks": "Check Crc Extra Fletcher IdBytes InvertedSum RequestBytes Sum Xor",
+        ".declare.checks": "Check Crc DataIds Extra Fletcher IdBytes InvertedSum RequestBytes Sum Xor",
         ".declare.delimited": "AsciiDegrees AsciiEnumeration AsciiInteger AsciiNumber AsciiText Delimited",
         ".declare.fast_packet": "FastPacket",
         ".declare.fields": "Counter Enumeration Field FlagSet Flags Multiplexed Present Quantity Reserved"

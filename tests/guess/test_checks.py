@@ -170,6 +170,10 @@ def test_ids_that_a_counter_chooses_are_solved(name: str, is_behind: bool, count
     assert found.evidence.startswith(
         f"{name} of bytes 1 to 7, and {where} them an id that the counter in byte 1"
     )
+    assert found.check is not None
+    part = f'DataIds("counter_1_0", bytes.fromhex("{bytes(ids[:counts]).hex(" ").upper()}"))'
+    over = f"slice(1, 8), {part}" if is_behind else f"{part}, slice(1, 8)"
+    assert found.check.declare("crc") == f"""Crc("{name}", over=[{over}], field='crc')"""
 
 
 def test_a_plain_check_and_noise_have_no_ids() -> None:

@@ -45,6 +45,7 @@ from aces_bus.protocol import (
     BitLayout,
     Counter,
     Crc,
+    DataIds,
     Enumeration,
     Escaped,
     Extra,
@@ -198,6 +199,18 @@ can_corners.message(
     check_extra=b"\x42",
     payload=BitLayout(
         5, "crc" / bits(8), "turn" / Counter(bits(4)), "value" / bits(12, at=16), "flag" / bits(1, at=39)
+    ),
+)
+can_corners.message(
+    "Chosen",
+    id=0x2E0 + Node,
+    check=Crc(
+        "CRC8-AUTOSAR",
+        over=(slice(None, 2), slice(3, None), DataIds("turn", bytes(range(7, 21)))),
+        field="crc",
+    ),
+    payload=BitLayout(
+        5, "value" / bits(12), "turn" / Counter(bits(4), modulo=14), "crc" / bits(8), "more" / bits(16)
     ),
 )
 can_corners.message(

@@ -37,6 +37,17 @@ can.message("M", id=1, payload=BitLayout(2,
     "b" / bits(8)))""",
         r"{line 4}: field 'b' ends at bit 19, past the layout of 2 bytes",
     ),
+    "a data id that no byte chooses": (
+        """
+can.message("M", id=1, payload=Struct("crc" / Byte, "count" / Int16ul),
+    check=Crc("CRC8-AUTOSAR", field="crc", over=(slice(1, None), DataIds("count", b"ab"))))""",
+        r"'count', which chooses the data id of M, is not a field of the payload in one byte",
+    ),
+    "data ids in the check of a framing": (
+        """
+wire.framing(sync=b"a", size=4, check=Crc("CRC8-AUTOSAR", over=(slice(1, -1), DataIds("count", b"ab"))))""",
+        r"DataIds are of a message's own check",
+    ),
     "a field twice": (
         """
 can.message("M", id=1, payload=Struct(

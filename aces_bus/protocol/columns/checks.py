@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..declare.checks import Check, Crc, Extra, Fletcher, IdBytes, Sum, Xor, xor_of
+from ..declare.checks import Check, Crc, DataIds, Extra, Fletcher, IdBytes, Sum, Xor, xor_of
 from ..declare.framing import Framing
 from ..declare.head import Head
 from ..declare.message import Message
@@ -442,6 +442,10 @@ def _covered(message: Message, rows: Array, keys: Array) -> Array:
             parts.append(
                 np.stack([(number >> 8 * place & 0xFF).astype(np.uint8) for place in places], axis=1)
             )
+        elif isinstance(part, DataIds):
+            offset, shift, mask = part.place
+            ids = np.frombuffer(part.ids, np.uint8)
+            parts.append(ids[(rows[:, offset : offset + 1] >> shift & mask) % len(ids)])
         else:
             constant = message.check_extra if isinstance(part, Extra) else part
             assert isinstance(constant, bytes)  # a request is covered by framings' checks alone

@@ -5,8 +5,9 @@
    no more than twice its length. CRCs cannot, and are bounded by the packet's size.
 
 `over` lists what is covered, in order: a `slice` of the packet's bytes (of the data, on CAN), `IdBytes` for the
-identifier, `RequestBytes` for the request that an answer answers, `Extra` for the message's own `check_extra` bytes. The
-default is everything behind the sync bytes up to the check itself.
+identifier, `RequestBytes` for the request that an answer answers, `Extra` for the message's own `check_extra` bytes,
+`DataIds` for a byte that a field of the payload chooses. The default is everything behind the sync bytes up to the
+check itself.
 """
 
 from __future__ import annotations
@@ -56,7 +57,28 @@ class RequestBytes(msgspec.Struct, frozen=True):
         return packet[self.start : self.stop]
 
 
-Covered = slice | IdBytes | RequestBytes | Extra | bytes
+class DataIds(msgspec.Struct, frozen=True):
+    """A byte that is not sent, and that a field of the payload chooses: `ids[field % len(ids)]`.
+
+    AUTOSAR E2E's profile 2 has sixteen ids, chosen by its counter; profile 1 has two that alternate. The field is in one
+    byte at a fixed place. `place` (offset, shift, mask) is found by the message.
+    """
+
+    field: str
+    ids: bytes
+    place: tuple[int, int, int] = (0, 0, 0)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.ids, bytes) or not self.ids:  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise SpecError(f"{caller()}: the ids that {self.field!r} chooses are bytes, a byte each")
+
+    def bytes(self, packet: bytes) -> bytes:
+        offset, shift, mask = self.place
+        at = (packet[offset] >> shift & mask) % len(self.ids)
+        return self.ids[at : at + 1]
+
+
+Covered = slice | IdBytes | RequestBytes | Extra | DataIds | bytes
 
 
 class Check:
@@ -96,7 +118,7 @@ class Check:
             None
             if over is None
             else (over,)
-            if isinstance(over, (slice, IdBytes, RequestBytes, Extra, bytes))
+            if isinstance(over, (slice, IdBytes, RequestBytes, Extra, DataIds, bytes))
             else tuple(over)
         )
         for part in self.over or ():
@@ -176,6 +198,8 @@ class Check:
                     parts.append(part.bytes(identifier))
                 case RequestBytes():
                     parts.append(part.bytes(request))
+                case DataIds():
+                    parts.append(part.bytes(packet))
                 case Extra():
                     parts.append(extra)
                 case _:

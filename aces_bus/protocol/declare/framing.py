@@ -25,7 +25,7 @@ from construct import Construct, Container, Struct
 from msgspec.structs import replace
 
 from ...errors import SpecError
-from .checks import Check, Covered
+from .checks import Check, Covered, DataIds
 from .fields import innermost, wire_number
 from .head import Head, heads_of
 from .normalise import sizes
@@ -273,6 +273,10 @@ class Framing:
         self.not_inside = bytes(sorted(set(not_inside)))
         if isinstance(check, type) or isinstance(stuffing, type):
             raise SpecError(f"{self.place}: check and stuffing are made by calling: Sum(), Crc('…'), Slip()")
+        if check is not None and any(isinstance(part, DataIds) for part in check.over or ()):
+            raise SpecError(
+                f"{self.place}: DataIds are of a message's own check: it chooses by a field of its payload"
+            )
         self.check = check
         self.stuffing = stuffing
         self.gap = gap

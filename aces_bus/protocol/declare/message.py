@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from ...errors import CallerError, FieldError, SpecError, UnknownNameError
 from .bits import BitLayout, whole_bits
-from .checks import Check, Covered, Extra
+from .checks import Check, Covered, DataIds, Extra
 from .delimited import Delimited
 from .fields import Counter, Enumeration, innermost, wire_number
 from .framing import Framing
@@ -467,6 +467,8 @@ class Message:
             raise SpecError(
                 f"{self.place}: the request is covered by the check of a framing, not by a message's own"
             )
+        if self.check is not None and not has_shapes(self):
+            _ = self.check_over
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
 
@@ -617,7 +619,9 @@ class Message:
         """
         assert self.check is not None
         if self.check.over is not None:
-            return self.check.over
+            return tuple(
+                self._placed(part) if isinstance(part, DataIds) else part for part in self.check.over
+            )
         start, size, _ = self.check_span
         first, head = (len(self.framing.sync), self.framing.check_head) if self.framing else (0, None)
         gaps = [*([(head.offset, head.size)] if head is not None else []), (start, size)]
@@ -626,6 +630,30 @@ class Message:
             found += [slice(first, at)] if at > first else []
             first = at + width
         return (*found, slice(first, None))
+
+    def _placed(self, ids: DataIds) -> DataIds:
+        """Return data ids with the place of the field that chooses among them."""
+        payload, offset, bits = self.payload, 0, tuple[int, ...]()
+        if isinstance(payload, BitLayout):
+            bits = next((tuple(s.positions) for s in payload.slots if s.name == ids.field), ())
+        for item in payload.subcons if isinstance(payload, c.Struct) else ():
+            least, most = sizes(item)
+            if item.name == ids.field and least == 1:
+                bits = tuple(range(8 * offset, 8 * offset + 8))
+            if least != most:
+                break
+            offset += least
+        if (
+            not bits
+            or bits[0] // 8 != bits[-1] // 8
+            or list(bits) != list(range(bits[0], bits[0] + len(bits)))
+        ):
+            raise SpecError(
+                f"{self.place}: {ids.field!r}, which chooses the data id of {self.name}, is not a field of the payload in"
+                " one byte at a fixed place"
+            )
+        place = (self.payload_start + bits[0] // 8, bits[0] % 8, (1 << len(bits)) - 1)
+        return replace(ids, place=place)
 
     @property
     def behind(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..declare.checks import Check, Crc, Extra, IdBytes, RequestBytes, Sum
+from ..declare.checks import Check, Crc, DataIds, Extra, IdBytes, RequestBytes, Sum
 from ..declare.message import Message
 from .c_language import NotInC, c_hex, refuse_if
 
@@ -47,8 +47,8 @@ class CheckPrinter:
         back = check.size + len(self.framing.end)
         for part in check.over or (slice(len(self.framing.sync), -back),):
             covered = self.extra if isinstance(part, Extra) else part
-            if isinstance(covered, (IdBytes, RequestBytes)):
-                raise NotInC("a check over an identifier or a request")
+            if isinstance(covered, (IdBytes, RequestBytes, DataIds)):
+                raise NotInC("a check over an identifier, a request or data ids")
             if isinstance(covered, slice):
                 low, high = _bound(covered.start or 0, size), _bound(covered.stop, size)
                 lines.append(f"check = {update}(check, data + {low}, {high} - {low});")

@@ -191,6 +191,9 @@ local function covered(check, bytes, size, start, stop, id, extra)
         local place = part.is_big and part.id - 1 - at or at
         data[#data + 1] = floor(word / 256 ^ place) % 256
       end
+    elseif part.ids then
+      local chosen = floor((bytes[part.at] or 0) / part.below) % part.values
+      data[#data + 1] = part.ids[chosen % #part.ids + 1]
     else
       for _, byte in ipairs(part.bytes or extra) do data[#data + 1] = byte end
     end

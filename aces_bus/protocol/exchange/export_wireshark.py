@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from ..declare.ambiguity import needing_context, ordered, request_names
 from ..declare.bits import whole_bits
-from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
+from ..declare.checks import Check, Covered, Crc, DataIds, Extra, IdBytes, Sum
 from ..declare.framing import Framing, WideLength
 from ..declare.message import Direction, Message, way_of
 from ..declare.protocol import Variant
@@ -203,15 +203,17 @@ class _Printer:
             self._lose(message.name, "", f"its own check ({message.check.describe}) is not verified")
             return None
         offset, size, order = message.check_span
-        check = self._check(message.check, message.name, message.check_extra)
+        check = self._check(message.check, message.name, message.check_extra, message.check_over)
         if "kind" not in check:
             return None
         return {**check, "at": offset, "pieces": bit_pieces(whole_bits(offset, size, order))}
 
-    def _check(self, check: Check, where: str, extra: bytes = b"") -> dict[str, Any]:
+    def _check(
+        self, check: Check, where: str, extra: bytes = b"", over: Sequence[Covered] = ()
+    ) -> dict[str, Any]:
         table: dict[str, Any] = {"size": check.size, "is_big": check.order == "big"}
         if check.over is not None:
-            table["over"] = [_covered(part) for part in check.over]
+            table["over"] = [_covered(part) for part in over or check.over]
         table["extra"] = list(extra)
         table["is_seeded"] = not extra and any(isinstance(part, Extra) for part in check.over or ())
         if check.text is not None:
@@ -520,6 +522,9 @@ def _covered(part: Any) -> dict[str, Any]:
         return {"slice": True, "from": part.start, "to": part.stop}
     if isinstance(part, IdBytes):
         return {"id": part.size, "is_big": part.order == "big", "mask": part.mask}
+    if isinstance(part, DataIds):
+        offset, shift, mask = part.place
+        return {"ids": list(part.ids), "at": offset, "below": 2**shift, "values": mask + 1}
     return {"bytes": list(part)} if isinstance(part, bytes) else {"extra": True}
 
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aces_bus.protocol import Check, Crc, Fletcher, IdBytes, Sum, Xor
+from aces_bus.protocol import Check, Crc, DataIds, Fletcher, IdBytes, Sum, Xor
 from aces_bus.protocol.columns.table import Array
 from aces_bus.protocol.declare.checks import Covered, Order
 
@@ -483,6 +483,8 @@ def check_source(check: Check) -> str:
 def _over_text(part: Covered) -> str:
     if isinstance(part, IdBytes):
         return f"IdBytes({part.size})"
+    if isinstance(part, DataIds):
+        return f'DataIds("{part.field}", bytes.fromhex("{part.ids.hex(" ").upper()}"))'
     return (
         repr(part)
         if isinstance(part, bytes)

@@ -27,7 +27,7 @@ WIDTH = 110
 #: What comes from aces_bus.protocol, and from construct.
 _OURS = frozenset(
     (
-        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Enumeration"),
+        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "DataIds", "Delimited", "Enumeration"),
         *("Extra", "FastPacket", "Fletcher"),
         *(
             "IdBytes",

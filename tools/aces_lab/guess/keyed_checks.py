@@ -15,10 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aces_bus.protocol import Crc, DataIds
 from aces_bus.protocol.columns.table import Array
+from aces_bus.protocol.declare.checks import Covered
 
 from .check_evidence import independent_rows
-from .checks import CHANCE_BITS, SHARE
+from .checks import CHANCE_BITS, SHARE, CheckGuess, check_source
 from .crc_families import CrcFamily, crc_families
 from .fields import FieldGuess, Rows
 
@@ -71,7 +73,9 @@ def keyed_checks(rows: Array, counter: FieldGuess) -> Iterator[FieldGuess]:
             solved = _solved(family, back[:, :covered], rows[:, place], counts, numbers, is_behind)
             if bits < CHANCE_BITS or solved is None or len(set(solved.ids)) < 2:
                 continue
-            yield _guess(place, start + (start >= place), size, counter, solved, len(rows), is_behind)
+            start += start >= place
+            runs = tuple(run for run in ((start, place), (max(place + 1, start), size)) if run[0] < run[1])
+            yield _guess(place, runs, counter, numbers.tolist(), solved, len(rows), is_behind, bits)
             return
 
 
@@ -102,16 +106,32 @@ def _solved(
 
 
 def _guess(
-    place: int, start: int, size: int, counter: FieldGuess, solved: _Solved, count: int, is_behind: bool
+    place: int,
+    runs: tuple[tuple[int, int], ...],
+    counter: FieldGuess,
+    numbers: list[int],
+    solved: _Solved,
+    count: int,
+    is_behind: bool,
+    bits: float,
 ) -> FieldGuess:
-    runs = [(start, place), (max(place + 1, start), size)]
-    covers = " and ".join(_run(first, end) for first, end in runs if first < end)
-    ids = " ".join(f"{byte:02X}" for byte in solved.ids)
+    covers = " and ".join(_run(first, end) for first, end in runs)
+    shown = " ".join(f"{byte:02X}" for byte in solved.ids)
     where = "behind" if is_behind else "in front of"
-    said = f"{solved.name} of {covers}, and {where} them an id that the counter in byte {counter.first_byte} chooses: {ids};"
-    said += f" {solved.agreeing} of {count} rows. No check of a spec takes its id by a counter: not declared"
+    said = f"{solved.name} of {covers}, and {where} them an id that the counter in byte {counter.first_byte} chooses:"
+    said += f" {shown}; {solved.agreeing} of {count} rows"
+    check: CheckGuess | None = None
+    if numbers == list(range(len(numbers))) and counter.positions[0] // 8 == counter.positions[-1] // 8:
+        from .draft import field_name
+
+        over: list[Covered] = [slice(*run) for run in runs]
+        over.insert(len(over) if is_behind else 0, DataIds(field_name(counter), bytes(solved.ids)))
+        made = Crc(solved.name, over=over)
+        check = CheckGuess(place, 1, made, check_source(made), runs, 0, solved.agreeing, count, bits)
+    else:
+        said += "; the ids of some counts were not seen: not declared"
     return FieldGuess(
-        8 * place, 8, "little", "check", 0.98 * solved.agreeing / count, said, values=solved.ids
+        8 * place, 8, "little", "check", 0.98 * solved.agreeing / count, said, values=solved.ids, check=check
     )
 
 

@@ -17,6 +17,7 @@ import z3
 from aces_bus.protocol import (
     BitLayout,
     Check,
+    DataIds,
     Extra,
     Fletcher,
     IdBytes,
@@ -541,6 +542,10 @@ def covered_cells(over: Sequence[Covered], data: Any, key: Any = 0, extra: bytes
                 )
             case Extra():
                 cells += list(extra)
+            case DataIds() if type(data) is bytes:
+                cells += part.bytes(data)
+            case DataIds():
+                raise NotProvable("a check over a data id that a field chooses")
             case RequestBytes():
                 raise NotProvable("a check over the request")
             case _:
