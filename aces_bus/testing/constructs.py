@@ -500,7 +500,7 @@ def _content(source: ChoiceSource, size: int, message: Message) -> bytes:
         at = source.integer(0, max(0, size - len(marks)))
         data = (data[:at] + marks + data[at + len(marks) :])[:size]
     if framing.end and framing.stuffing is None:
-        data = data.replace(framing.end[:1], b"\x55")
+        data = data.replace((framing.short_end or framing.end)[:1], b"\x55")
     if isinstance(framing.stuffing, CutZeros) and not data[-1]:
         data = data[:-1] + b"\x55"
     return data

@@ -212,7 +212,10 @@ def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
     else:
         body = source.bytes(source.integer(0, len(body) + 4))
     try:
-        return message.struct.framed(framing, head, body)
+        made = message.struct.framed(framing, head, body)
+        if framing.short_end and source.integer(0, 1):
+            made = made[: -len(framing.end)] + framing.short_end
+        return made
     except AcesError:  # too long, or its end mark inside
         return packet.image
 
@@ -228,7 +231,13 @@ def garbage(who: Cast, source: ChoiceSource) -> bytes:
     if how == 1:
         return (marks * size)[:size]
     if how == 2:
-        pieces = [marks[: source.integer(0, len(marks))], source.bytes(1), framing.end, b"\xff", b"\x00"]
+        pieces = [
+            marks[: source.integer(0, len(marks))],
+            source.bytes(1),
+            framing.end,
+            b"\xff",
+            framing.short_end or b"\x00",
+        ]
         return b"".join(source.choice(pieces) for _ in range(size))
     byte = bytes([source.integer(0, 255)])
     if framing.not_inside and byte not in framing.not_inside + framing.end:

@@ -41,12 +41,17 @@ can.message("M", id=1, payload=BitLayout(2,
         """
 can.message("M", id=1, payload=Struct("crc" / Byte, "count" / Int16ul),
     check=Crc("CRC8-AUTOSAR", field="crc", over=(slice(1, None), DataIds("count", b"ab"))))""",
-        r"'count', which chooses the data id of M, is not a field of the payload in one byte",
+        r"{line 2}: 'count', which chooses the data id of M, is not a field of the payload in one byte",
     ),
     "data ids in the check of a framing": (
         """
 wire.framing(sync=b"a", size=4, check=Crc("CRC8-AUTOSAR", over=(slice(1, -1), DataIds("count", b"ab"))))""",
-        r"DataIds are of a message's own check",
+        r"{line 2}: DataIds are of a message's own check",
+    ),
+    "a second end that is not the last bytes of the first": (
+        """
+wire.framing(sync=b"a", end=(b"\\r\\n", b"\\r"), max_size=9)""",
+        r"{line 2}: of two ends the second is the last bytes of the first",
     ),
     "a field twice": (
         """

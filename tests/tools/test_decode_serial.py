@@ -248,9 +248,18 @@ def test_a_packet_with_the_right_head_says_what_is_another(aces: Aces, tmp_path:
 
 def test_packets_with_half_an_end_are_named(aces: Aces, tmp_path: Path) -> None:
     """A text whose CR LF became LF decodes to nothing, and why is said; other bytes are not taken for that."""
+    spec = tmp_path / "lines.py"
+    spec.write_text(
+        "from construct import *\nfrom aces_bus.protocol import *\nlines = Protocol('lines', link='serial')\n"
+        "packet = lines.framing(sync=b'#', end=b'\\r\\n', max_size=20)\npacket('Line', payload=Struct('x' / Text(4)))\n"
+    )
+    (tmp_path / "log.txt").write_bytes(3 * b"#1234\n")
+    (tmp_path / "other.bin").write_bytes(b"\x00\x01\x02" * 40)
+    said = (
+        "Packets of lines end with 0D 0A, and here is 0A 3 times without 0D before it (unix2dos puts it back)"
+    )
+    assert said in aces("decode", tmp_path / "log.txt", "-p", spec).err
+    assert "Packets of" not in aces("decode", tmp_path / "other.bin", "-p", spec).err
     sentence = bytes(load_protocol("nmea0183")["ZDA"].examples[0].packet.image)
     (tmp_path / "gnss.txt").write_bytes(3 * sentence.replace(b"\r\n", b"\n"))
-    (tmp_path / "other.bin").write_bytes(b"\x00\x01\x02" * 40)
-    said = "Packets of nmea0183 end with 0D 0A, and here is 0A 3 times without 0D before it (unix2dos puts it back)"
-    assert said in aces("decode", tmp_path / "gnss.txt", "-p", "nmea0183").err
-    assert "Packets of" not in aces("decode", tmp_path / "other.bin", "-p", "nmea0183").err
+    assert "records=3" in aces("decode", tmp_path / "gnss.txt", "-p", "nmea0183").err

@@ -298,7 +298,8 @@ class Decoding(ABC):
     def _half_end(self) -> str:
         """Say that packets have only the last byte of their end: a text whose CR LF became LF; "" where that is not so."""
         for variant in self.variants["serial"]:
-            for end in {message.framing.end for message in variant.messages.values() if message.framing}:
+            framings = {message.framing for message in variant.messages.values() if message.framing}
+            for end in {framing.end for framing in framings if not framing.short_end}:
                 if len(end) > 1 and end not in self.sample and (count := self.sample.count(end[-1:])):
                     return (
                         f" Packets of {variant.name} end with {end.hex(' ').upper()}, and here is {end[-1:].hex().upper()}"

@@ -488,7 +488,9 @@ class Sums:
         """Have prefix sums from `start` to `end`; those before may go."""
         if end > self.end:
             self._grow(buffer[self.end - base : end - base])
-            self.end = end
+            self.end = min(
+                end, base + len(buffer)
+            )  # a whole end in place of a short one may be behind the buffer
         low = start - self._start
         if low > 65536 and isinstance(self._first, list):
             del self._first[:low], self._second[:low]

@@ -3,7 +3,8 @@
 A packet on the wire is  sync | header | payload | check | end,  and one of three things says where it ends:
 
 * `size`: its size in bytes, a number or an expression of header fields (`this.length + 4`), perhaps `Escaped`;
-* `end`: bytes that close it (`b"\\r\\n"`), with `stuffing` to keep them out of the data;
+* `end`: bytes that close it (`b"\\r\\n"`), with `stuffing` to keep them out of the data; `(b"\\r\\n", b"\\n")` reads packets
+  that the last byte alone closes, too, and writes the whole end;
 * `end="silence"`: a pause on the line longer than `gap`.
 
 Behind the check there may be a `trailer` (a signature).
@@ -253,7 +254,7 @@ class Framing:
         header: Struct | None = None,
         match: Mapping[str, Collection[int]] | None = None,
         size: int | Callable[[Any], Any] | Escaped | Literal["fields"] | None = None,
-        end: bytes | str | None = None,
+        end: bytes | str | tuple[bytes, bytes] | None = None,
         stuffing: Stuffing | None = None,
         check: Check | None = None,
         trailer: Trailer | None = None,
@@ -290,6 +291,17 @@ class Framing:
         self.check_size = check.size if check is not None and self.check_head is None else 0
         #: Whether the check covers what was asked: it can be judged with the request alone.
         self.covers_request = check is not None and check.covers_request
+        #: What closes packets that are read as well, and with which `end` ends; empty: nothing else does.
+        self.short_end = b""
+        if isinstance(end, tuple):
+            end, self.short_end = end
+            lone = check is not None and (check.after_end or check.covers_request)
+            if not self.short_end or not end.endswith(self.short_end) or end == self.short_end:
+                raise SpecError(f"{self.place}: of two ends the second is the last bytes of the first")
+            if stuffing is not None or lone:
+                raise SpecError(
+                    f"{self.place}: two ends do not go with stuffing, nor with a check over the request or behind the end"
+                )
         self.is_silent = end == "silence"
         if isinstance(end, str) and not self.is_silent:
             raise SpecError(f"{self.place}: end is bytes or 'silence', not {end!r}")
@@ -616,17 +628,20 @@ class Framing:
             return self._checked(data[start:], extras, request) if silent else MORE
         if self.end:
             most = self.max_size - self.check_behind
-            at = data.find(self.end, start + len(self.sync), start + most)
+            mark, first = self.short_end or self.end, start + len(self.sync)
+            at = data.find(mark, first, start + most)
+            stop = at + len(mark)
+            if self.short_end and data.endswith(self.end, first, max(first, stop)):
+                at = stop - len(self.end)
             if self.not_inside:
-                stop = at if at >= 0 else start + most
-                if self.strays(data, start + len(self.sync), stop):
+                if self.strays(data, first, at if at >= 0 else start + most):
                     return BAD("a byte that no packet has")
             if at < 0:
                 return MORE if left < most else BAD("no end")
-            packet = data[start : at + len(self.end) + self.check_behind]
-            if at == start + len(self.sync):
+            packet = data[start : stop + self.check_behind]
+            if at == first:
                 return DEAD
-            if len(packet) < at - start + len(self.end) + self.check_behind:
+            if len(packet) < stop - start + self.check_behind:
                 return MORE
             return self._checked(packet, extras, request)
         if self.affine is not None:
@@ -700,8 +715,12 @@ class Framing:
         return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
 
     def logical(self, packet: bytes) -> bytes:
-        """Return the packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""
+        """Return the packet without stuffing, closed by its whole end; raises `ValueError` when it cannot have been
+        stuffed so.
+        """
         if self.stuffing is None:
+            if self.short_end and not packet.endswith(self.end, len(self.sync)):
+                return packet[: -len(self.short_end)] + self.end
             return packet
         if self.stuffing.is_inside:
             return self._unstuffed_inside(packet, self.stuffing)
@@ -773,7 +792,8 @@ class Framing:
         elif self.affine is not None:
             parts.append(f"size by {self.affine.length.name}, at most {self.max_size} bytes")
         elif self.end:
-            parts.append(f"end with {self.end.hex(' ').upper()}, at most {self.max_size} bytes")
+            also = f" or {self.short_end.hex(' ').upper()}" if self.short_end else ""
+            parts.append(f"end with {self.end.hex(' ').upper()}{also}, at most {self.max_size} bytes")
         else:
             parts.append(f"end by silence, at most {self.max_size} bytes")
         if self.stuffing is not None:

@@ -467,10 +467,10 @@ class Message:
             raise SpecError(
                 f"{self.place}: the request is covered by the check of a framing, not by a message's own"
             )
-        if self.check is not None and not has_shapes(self):
-            _ = self.check_over
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
+        if self.check is not None and not has_shapes(self):
+            _ = self.check_over
 
     @cached_property
     def payload_names(self) -> tuple[str, ...]:

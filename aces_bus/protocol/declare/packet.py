@@ -370,7 +370,7 @@ class PacketStruct(Construct):
                 )
             if framing.stuffing is not None:
                 packet = framing.sync + framing.stuffing.stuff(packet[len(framing.sync) :])
-            if framing.end in packet[len(framing.sync) :]:
+            if (framing.short_end or framing.end) in packet[len(framing.sync) :]:
                 raise FieldError(f"{self.message.name}: the bytes that end a packet occur inside it")
             if framing.strays(packet, len(framing.sync), len(packet)):
                 never = framing.not_inside.hex(" ").upper()

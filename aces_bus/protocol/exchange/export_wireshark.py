@@ -272,6 +272,10 @@ class _Printer:
                 table["length"]["last"] = framing.affine.reach - 1
         table["size"] = framing.fixed_size
         table["stop"] = list(framing.end)
+        if framing.short_end:
+            self._lose(
+                "", "", f"packets that {framing.short_end.hex(' ').upper()} alone closes are not found"
+            )
         table["is_silent"] = framing.is_silent
         table |= {"min_size": framing.min_size, "max_size": framing.max_size, "head_end": framing.head_end}
         if framing.check is not None and framing.check_head is not None:

@@ -330,10 +330,16 @@ def _ended(out: SourceText, number: int, framing: Framing, decode: str, *, alone
         out.line(f"elif buffer[i + {at}] not in {tuple(values)}:")
         out.depth += 1
     first = f"i + {at}" if at else "i"
-    out.line(f"j = buffer.find({literal(framing.end)}, {first}, i + {framing.max_size})")
+    mark, stop = framing.short_end or framing.end, "j"
+    out.line(f"j = buffer.find({literal(mark)}, {first}, i + {framing.max_size})")
+    if framing.short_end:  # e: where the end begins, whole or not
+        lead, stop = back - len(mark), "e"
+        out.line(
+            f"e = j - {lead} if j - i >= {at + lead} and starts({literal(framing.end)}, j - {lead}) else j"
+        )
     word = "if"
     if framing.not_inside:
-        out.line(f"k = j if j >= 0 else i + {framing.max_size}")
+        out.line(f"k = {stop} if j >= 0 else i + {framing.max_size}")
         tests = [f"buffer.find({literal(bytes([byte]))}, {first}, k) >= 0" for byte in framing.not_inside]
         out.lines(
             f"if {' or '.join(tests)}:",
@@ -352,23 +358,28 @@ def _ended(out: SourceText, number: int, framing: Framing, decode: str, *, alone
     least = framing.min_size - back
     if least > at:
         out.lines(
-            f"elif j - i < {least}:",
-            f"    if j - i > {at}:",
+            f"elif {stop} - i < {least}:",
+            f"    if {stop} - i > {at}:",
             "        bad = bad or 'malformed: length'",
             "else:",
         )
     else:
-        out.line(f"elif j - i > {at}:")
+        out.line(f"elif {stop} - i > {at}:")
     out.depth += 1
-    out.line(f"j += {back}")
+    out.line(f"j += {len(mark)}")
+    if framing.short_end:
+        out.lines(
+            "packet = buffer[i:j]",
+            f"data = packet if j - e == {back} else buffer[i:e] + {literal(framing.end)}",
+        )
     if framing.check is not None:
-        _asked(out, number, framing.check)
+        _asked(out, number, framing.check, short=framing.short_end, end=f"e + {back}")
         out.lines(
             "    bad = bad or reason",
             "else:",
         )
         out.depth += 1
-    _accept(out, framing, decode, alone=alone, cut=framing.check is not None)
+    _accept(out, framing, decode, alone=alone, cut=framing.check is not None or bool(framing.short_end))
     out.depth = depth
     if at > 1:
         out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
@@ -426,24 +437,30 @@ def _checked(out: SourceText, number: int, framing: Framing, decode: str, *, alo
     _accept(out, framing, decode, alone=alone, cut=cut)
 
 
-def _asked(out: SourceText, number: int, check: Check) -> None:
-    """Print the cutting of the packet, the question to `check_N`, and the begin of the branch of a failure."""
-    out.line("packet = buffer[i:j]")
+def _asked(out: SourceText, number: int, check: Check, *, short: bytes = b"", end: str = "j") -> None:
+    """Print the cutting of the packet, the question to `check_N`, and the begin of the branch of a failure.
+
+    Where packets may have a `short` end, they are cut already, `data` has the whole end, and `end` is where it would be.
+    """
+    data = "data" if short else "packet"
+    if not short:
+        out.line("packet = buffer[i:j]")
+        end = "j"
     if check.kind == "crc":
         out.lines(
-            f"reason = check_{number}(packet)",
+            f"reason = check_{number}({data})",
             "if reason is not None:",
             "    state.work += j - i",
         )
         return
     out.lines(
         f"if i > summed_{number}:",
-        f"    reason = check_{number}(packet)",
+        f"    reason = check_{number}({data})",
         "    if reason is not None:",
         f"        sums_{number}.fail(packet, base + i)",
         f"        summed_{number} = j",
         "else:",
-        f"    reason = failure_{number}(buffer, base, i, j)",
+        f"    reason = failure_{number}(buffer, base, i, {end})",
         f"    summed_{number} = sums_{number}.end - base",
         "if reason is not None:",
     )
@@ -458,7 +475,7 @@ def _accept(out: SourceText, framing: Framing, decode: str, *, alone: bool, cut:
     """Print the decoding of a packet, which is `cut` out already or not."""
     if not cut:
         out.line("packet = buffer[i:j]")
-    data = "packet"
+    data = "data" if framing.short_end else "packet"
     if framing.stuffing is not None:
         out.lines(
             f"data = unstuff_{decode}(packet)",
@@ -552,7 +569,8 @@ def describe(framing: Framing) -> str:
     if framing.check is not None:
         parts.append(framing.check.describe)
     if framing.end:
-        parts.append(framing.end.hex(" ").upper())
+        also = f" or {framing.short_end.hex(' ').upper()}" if framing.short_end else ""
+        parts.append(f"{framing.end.hex(' ').upper()}{also}")
     if framing.is_silent:
         parts.append("silence")
     if framing.stuffing is not None:

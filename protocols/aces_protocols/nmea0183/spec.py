@@ -1,6 +1,6 @@
 """NMEA 0183, the sentences of satellite receivers and compasses.
 
-1. A sentence without a check, or with a wrong one, is none.
+1. A sentence without a check, or with a wrong one, is none. A line feed alone ends a sentence, too.
 2. An empty field is unknown (`None`); what newer receivers append is kept as texts in `more`.
 3. Numbers stay as they are written: degrees without their sign, times as `103607.00`, dates as `060321`.
 
@@ -37,8 +37,8 @@ nmea0183 = Protocol(
 sentence = nmea0183.framing(
     sync=b"$",
     check=Xor(text="*{:02X}"),
-    end=b"\r\n",
-    not_inside=b"$\n",  # a sentence whose end was lost does not run on into the next
+    end=(b"\r\n", b"\n"),  # logs of computers often have line feeds alone
+    not_inside=b"$",  # a sentence whose end was lost does not run on into the next
     max_size=128,  # the standard says 82 characters; receivers exceed it
     gap=1.0,
 ).family(prefix=Struct("talker" / Text(2), "type" / Bytes(3)), direction="from device")

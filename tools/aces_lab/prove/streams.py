@@ -183,6 +183,8 @@ def unread(framing: Framing) -> str:
         return "a size that bits say"
     if stuffing is not None and not stuffing.is_inside:
         return "packets that are stuffed as a whole"
+    if framing.short_end:
+        return "two marks that may close packets"
     if check is not None and check.text is not None:
         return "a check written as text"
     if framing.covers_request or framing.check_behind:
