@@ -61,14 +61,20 @@ class Opened:
         #: The gates that were started.
         self.gates: list[Any] = []
         self.threads: list[threading.Thread] = []
+        self.count = 1
         original = ChosenBus.start
 
         def start(bus: ChosenBus, gate: Any) -> None:
             original(bus, gate)
             self.gates.append(gate)
-            self.event.set()
+            if len(self.gates) >= self.count:
+                self.event.set()
 
         monkeypatch.setattr(ChosenBus, "start", start)
+
+    def wait_for(self, count: int) -> None:
+        """Take so many buses as what has to be open."""
+        self.count = count
 
     def then(self, work: Callable[[], object]) -> None:
         """Do this once the bus is open."""

@@ -9,7 +9,7 @@ import io
 import re
 import threading
 from argparse import ArgumentTypeError
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -238,6 +238,64 @@ def test_several_protocols_each_claim_theirs(aces: Aces, node: Node, opened: Ope
     assert any("both claim identifier 0x060" in said for said in found.messages)
 
 
+@pytest.fixture
+def two() -> Iterator[tuple[Node, Node]]:
+    """Nodes of two buses."""
+    nodes = Node(), Node()
+    yield nodes
+    for node in nodes:
+        node.close()
+
+
+def test_several_buses_are_one_listing(
+    aces: Aces, two: tuple[Node, Node], opened: Opened, arm: str, tmp_path: Path
+) -> None:
+    """Lines, protocols by channel and the recording go by the names of the buses; the summary is of all."""
+    first, second = two
+    opened.wait_for(2)
+
+    def work() -> None:
+        first.walk()
+        second.walk()
+
+    opened.then(work)
+    record = tmp_path / "both.log"
+    options = [first.channel, second.channel, "-i", "aces", "--bus-kwargs", "physics=false"]
+    found = aces(
+        "sniff",
+        *options,
+        "-p",
+        f"{first.channel}={arm}",
+        "-n",
+        10,
+        "--format",
+        "jsonl",
+        "--record",
+        record,
+    )
+    assert found.status == 0, found.err
+    read = {(one["channel"], one["message"]) for one in found.objects}
+    assert read == {
+        *((first.channel, name) for name in ("Encoder", "State", None)),
+        (second.channel, None),
+    }
+    summed = {"frames": 10, "decoded": 3, "unknown": 6, "dropped": 0}
+    assert {name: found.summary[name] for name in summed} == summed
+    with open_recording(record) as recording:
+        assert {frame.channel for frame in recording if isinstance(frame, Frame)} == {
+            first.channel,
+            second.channel,
+        }
+
+
+def test_a_bus_of_several_that_does_not_open_ends_it(aces: Aces, node: Node, opened: Opened) -> None:
+    """The bus that cannot be opened is named; the one that was open is closed."""
+    found = aces("sniff", node.channel, "unix:nowhere", "-i", "aces", "--bus-kwargs", "physics=false")
+    assert (found.status, found.out) == (2, "")
+    assert "unix:nowhere" in found.err
+    assert [gate.state for gate in opened.gates] == ["closed"]
+
+
 def test_it_ends_after_a_time(aces: Aces, node: Node) -> None:
     """`--for` ends it where nothing comes."""
     found = aces("sniff", *node.options, "--for", "20ms")
@@ -464,6 +522,9 @@ def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -
         (["-i", "aces", "--record", "-"], "standard output is for the lines"),
         (["-i", "aces", "--record", "/nowhere/x.log"], "cannot be written"),
         (["--serial", "/dev/nothing-here"], "/dev/nothing-here cannot be opened"),
+        (["a", "b", "a", "-i", "aces"], "a is named twice"),
+        (["a", "/dev/ttyS0"], "is not a network interface"),
+        (["a", "b", "-i", "aces", "--screen"], "--screen shows one bus"),
     ],
 )
 def test_wrong_calls(

@@ -32,6 +32,8 @@ from .options import Group, argument, at_least, flag
 if TYPE_CHECKING:
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
 
+    from .several_buses import SeveralGates
+
     AnyGate = CanGate | SerialGate | DatagramGate
 
 Kind = Literal["can", "serial", "datagram"]
@@ -83,15 +85,6 @@ BUS_ARGUMENTS = (
             argument("--udp", metavar="[HOST:]PORT", help="UDP datagrams, by default of this machine only"),
         ),
     ),
-)
-
-
-#: A bus by its name alone.
-BUS = argument(
-    "bus",
-    nargs="?",
-    metavar="BUS",
-    help="can0, unix:can0, a serial port or its URL; or by the options below",
 )
 
 
@@ -153,7 +146,7 @@ class ChosenBus:
         near = LOOPBACK if is_loopback(host) else "0.0.0.0"
         return DatagramGate((near, 0), peer=(host, port), name=self.name)
 
-    def start(self, gate: AnyGate) -> None:
+    def start(self, gate: AnyGate | SeveralGates) -> None:
         """Start its gate; raises `CallerError` for whatever opening raises."""
         try:
             gate.start()

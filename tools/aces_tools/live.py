@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from aces_bus.hardware.gate_events import BusEvent
     from aces_bus.robot.rig import Rig
 
+    from .several_buses import SeveralGates
+
 
 #: Seconds that a bus stays open after the last frame was handed over: an adapter may still hold it.
 LINGER_S = 0.05
@@ -48,7 +50,7 @@ HINTS: Mapping[str, str] = {
 class BusEventLines:
     """The events of a gate as lines on stderr. Listens from when it is made; `send` prints what has come since."""
 
-    def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
+    def __init__(self, gate: CanGate | SerialGate | DatagramGate | SeveralGates) -> None:
         self._queue: deque[BusEvent] = deque(maxlen=4096)
         self._hints = {} if gate.listen_only else HINTS
         gate.on_event(self._queue.append)
@@ -97,13 +99,14 @@ def received_frame(item: Received[Frame], name: str, epoch_ns: int) -> Frame:
     return frame
 
 
-def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
+def losses(gate: CanGate | SerialGate | DatagramGate | SeveralGates, dropped: int) -> str:
     """Return what was lost on the way, for the end of a summary line; `dropped`: came faster than the command took it."""
-    counters = gate.counters
-    return (
-        f"dropped={dropped} kernel_dropped={counters.kernel_dropped} bad_input={counters.bad_input}"
-        f" reopened={counters.reopened}"
-    )
+    from .several_buses import SeveralGates
+
+    of = [each.counters for each in (gate.gates if isinstance(gate, SeveralGates) else [gate])]
+    kernel_dropped, bad_input = sum(one.kernel_dropped for one in of), sum(one.bad_input for one in of)
+    reopened = sum(one.reopened for one in of)
+    return f"dropped={dropped} kernel_dropped={kernel_dropped} bad_input={bad_input} reopened={reopened}"
 
 
 def silence_s(scanner: Any) -> float:

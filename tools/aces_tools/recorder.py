@@ -27,6 +27,8 @@ from .rotation import Rotation
 if TYPE_CHECKING:
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
 
+    from .several_buses import SeveralGates
+
 #: Seconds between two times at which what has come is written.
 STEP_S = 0.25
 #: Seconds between two times at which the file is synchronised to the disk.
@@ -59,7 +61,7 @@ class RecordingFile:
 
     def start(
         self,
-        gate: CanGate | SerialGate | DatagramGate,
+        gate: CanGate | SerialGate | DatagramGate | SeveralGates,
         name: str,
         epoch_ns: int,
         direction: Direction | None = None,

@@ -1,6 +1,7 @@
 """Listen to a bus: decoded lines as they come. It cannot send.
 
   aces sniff can0
+  aces sniff can0 can1
   aces sniff can0 -p hubo --message Encoder --where board=3
   aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t delta --filter 060:7F0
   aces sniff can0 -o walk.blf --rotate 100MB
@@ -33,7 +34,7 @@ from aces_bus.recordings.base import Chunk, Link
 from aces_bus.recordings.filters import CanFilter, parse_filter
 from aces_bus.recordings.totals import Totals
 
-from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
+from .bus_arg import BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import utf8
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
     from .live_log import LogSeries
     from .live_view import LiveView, ShownRecords
     from .recorder import RecordingFile
+    from .several_buses import SeveralBuses, SeveralGates
 
 #: Frames that come close behind each other are shown together, once in this time (s): less work, and not visible.
 TOGETHER_S = 0.01
@@ -112,7 +114,12 @@ opened, or a recording that is not whole
 
 
 ARGUMENTS: Arguments = (
-    BUS,
+    argument(
+        "bus",
+        nargs="*",
+        metavar="BUS",
+        help="can0, unix:can0, a serial port or its URL, several CAN buses; or by the options below",
+    ),
     PROTOCOL,
     DIRECTION.but(help="only messages to or from the device; both pairs requests and replies"),
     FILTER,
@@ -141,11 +148,32 @@ def run(arguments: argparse.Namespace) -> int:
     return Sniffing(arguments).run()
 
 
+def _chosen(arguments: argparse.Namespace) -> ChosenBus | SeveralBuses:
+    """Return the bus that the call names, or the CAN buses; raises `CallerError` as `chosen_bus` does."""
+    variants, names = parse_protocols(arguments.protocol), arguments.bus
+
+    def chosen(name: str | None) -> ChosenBus:
+        return chosen_bus(argparse.Namespace(**{**vars(arguments), "bus": name}), variants)
+
+    if len(names) < 2:
+        return chosen(names[0] if names else None)
+    buses = tuple(map(chosen, names))
+    if other := [bus.name for bus in buses if bus.kind != "can"]:
+        raise CallerError(
+            f"several buses at once are CAN buses, and {other[0]} is not; listen to it by itself"
+        )
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise CallerError(f"{twice[0]} is named twice")
+    from .several_buses import SeveralBuses
+
+    return SeveralBuses(buses)
+
+
 class Sniffing(LiveDecoding):
     """One run of `aces sniff`. A wrong call raises before anything is opened."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        self.bus: ChosenBus = chosen_bus(arguments, parse_protocols(arguments.protocol))
+        self.bus: ChosenBus | SeveralBuses = _chosen(arguments)
         self.link: Link = self.bus.link
         self.duration: int | None = arguments.duration
         for option in ("message", "where"):
@@ -255,7 +283,7 @@ class Sniffing(LiveDecoding):
             self.end(gate, events, recorder, inbox.dropped)
         return self.status
 
-    def open(self, gate: AnyGate, recorder: RecordingFile | None) -> None:
+    def open(self, gate: AnyGate | SeveralGates, recorder: RecordingFile | None) -> None:
         """Begin to record, and open the bus; where that fails, no file is left."""
         try:
             self.log = self._log()
@@ -286,7 +314,13 @@ class Sniffing(LiveDecoding):
 
         return LogSeries(self.arguments.output, self.rotation, make, option="-o")
 
-    def end(self, gate: AnyGate, events: BusEventLines, recorder: RecordingFile | None, dropped: int) -> None:
+    def end(
+        self,
+        gate: AnyGate | SeveralGates,
+        events: BusEventLines,
+        recorder: RecordingFile | None,
+        dropped: int,
+    ) -> None:
         """Report the last events, finish the recording, sum up; `dropped` items came faster than they were shown."""
         events.report(last=True)
         self._close_log()
@@ -519,6 +553,8 @@ def _run_on_screen(sniffing: Sniffing) -> int:
         raise CallerError("choose one of --screen and a live view: two of 'aces sniff' may listen to one bus")
     if len(sniffing.messages) > 1:
         raise CallerError("--screen takes one --message; press / there to filter")
+    if not isinstance(bus, ChosenBus):
+        raise CallerError(f"--screen shows one bus, and {bus.name} are {len(bus.buses)}; name one of them")
     if bus.kind != "can" and not arguments.protocol:
         raise CallerError("--screen shows the packets of a protocol, and no bare bytes; name one: -p NAME")
     check_screen()

@@ -227,6 +227,7 @@ _shtab_aces_convert___merge_nargs=0
 _shtab_aces_convert___strict_nargs=0
 _shtab_aces_convert__q_nargs=0
 _shtab_aces_convert___quiet_nargs=0
+_shtab_aces_sniff_pos_0_nargs='*'
 _shtab_aces_sniff__h_nargs=0
 _shtab_aces_sniff___help_nargs=0
 _shtab_aces_sniff__q_nargs=0

@@ -166,7 +166,7 @@ complete -c aces -n '_shtab_aces_using sniff' -l half-duplex -d 'one pair of wir
 complete -c aces -n '_shtab_aces_using sniff' -l udp -x -d 'UDP datagrams, by default of this machine only'
 complete -c aces -n '_shtab_aces_using sniff' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
 complete -c aces -n '_shtab_aces_using sniff' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
-complete -c aces -n '_shtab_aces_using sniff; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'can0, unix:can0, a serial port or its URL; or by the options below'
+complete -c aces -n '_shtab_aces_using sniff; and test $_shtab_aces_npos -ge 0' -ka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'can0, unix:can0, a serial port or its URL, several CAN buses; or by the options below'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a send -d 'send a message, once or periodically; only with --tx'
 complete -c aces -n '_shtab_aces_using send' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using send' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'protocols, as of '"'"'aces decode'"'"'; the first that fits wins'
