@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo prove test test-slow test-real test-leaks mutants test-oracles test-lerobot planted test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
+.PHONY: help venv demo prove test test-slow test-real test-leaks mutants test-oracles test-lerobot test-urdf planted test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -126,6 +126,14 @@ $(LEROBOT)/.python: pyproject.toml
 
 test-lerobot: $(LEROBOT)/.python ## LeRobot's own bus classes with our twins (1.3 GB with a PyTorch without CUDA)
 	$(LEROBOT)/bin/python -m pytest tests/oracles/test_lerobot.py --override-ini 'addopts=--import-mode=importlib' $(ARGS)
+
+$(VENV)/.urdf: $(VENV)/.dev
+	@echo "installing pinocchio and public models of robots into $(VENV) (once, 170 MB)"
+	@$(call TWICE,$(PIP) --editable '.[urdf-oracle]')
+	@touch $@
+
+test-urdf: $(VENV)/.urdf ## kinematics and torques against pinocchio's, on 69 public models of robots
+	$(PYTEST) tests/oracles/test_urdf.py $(ARGS)
 
 planted: $(VENV)/.oracles ## which of 30 bugs, planted in copies of four packages, a test finds with --aces-faults all (a quarter of an hour)
 	$(BIN)/python -m tests.oracles.planted $(ARGS)

@@ -76,6 +76,7 @@ CONTENTS: dict[str, list[str]] = {
     "Robots": [
         "devices",
         "robots",
+        "urdf",
         "states",
         "controllers",
         "running",

@@ -15,9 +15,10 @@ from math import pi, sin
 from pathlib import Path
 from typing import Any
 
+from aces_bus import load_robot
 from aces_bus.controller import controller
 from aces_bus.device import Robot
-from aces_bus.robot import Ended, parse_robot, run_virtual
+from aces_bus.robot import Ended, run_virtual
 
 JOINTS = ("base", "shoulder", "elbow", "forearm", "wrist", "hand")
 #: How far it waves (rad), and how fast (1/s).
@@ -34,11 +35,7 @@ def wave(t: float) -> dict[str, float]:
 
 def arm() -> Robot:
     """Return the robot of the file beside this program."""
-    path = Path(__file__).with_suffix(".toml")
-    robot, problems = parse_robot(path.read_text(encoding="utf-8"))
-    if robot is None:
-        raise SystemExit("\n".join(map(str, problems)))
-    return robot
+    return load_robot(Path(__file__).with_suffix(".toml"))
 
 
 def waved(at_end: Any = "park", seconds: float = SECONDS) -> Ended:

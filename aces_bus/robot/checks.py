@@ -23,7 +23,7 @@ from ..device.drivers import list_drivers
 from ..device.events import Kind
 from ..errors import AcesError, CallerError, UnknownNameError
 from ..hardware.served.address import is_served, parse_address
-from ..kinematics.bodies import BODIES
+from ..kinematics.bodies import BODIES, body_format
 from ..protocol import Protocol
 from ..protocol.files import list_protocols, load_protocol, python_file
 from .keys import KEYS, character_of
@@ -71,9 +71,8 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
 
 
 def _check_body(robot: Robot, complain: Complain) -> None:
-    known = BODIES.points() if robot.body is not None else {}
-    if robot.body is not None and robot.body not in known:
-        complain(("body",), f"there is no body {robot.body!r}; there are {_listed(known)}", False)
+    if robot.body is not None and body_format(robot.body) is None:
+        _check_installed(("body",), "body", robot.body, BODIES.points(), complain)
 
 
 # ---------------------------------------------------------------------- names

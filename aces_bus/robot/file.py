@@ -224,6 +224,7 @@ class _Reader:
                 'a robot has buses: [buses], with lines such as upper = { link = "can", protocol = "NAME" }',
             )
         values.setdefault("name", "")  # said to be missing; what else is wrong is looked for all the same
+        self._resolved(values, ())
         robot = Robot(**values)
         written = {s: set(content[s]) if isinstance(content.get(s), dict) else set[str]() for s in ENTRIES}
         check(robot, written, self.complain)
@@ -258,7 +259,11 @@ class _Reader:
         """Replace the files that an entry names: a protocol by its name, data of a driver by its place below the folder."""
         if self.files is None:
             return
-        for key, resolve in (("protocol", self.files.protocol), ("settings", self.files.data)):
+        for key, resolve in (
+            ("protocol", self.files.protocol),
+            ("settings", self.files.data),
+            ("body", self.files.body),
+        ):
             if values.get(key) is not None:
                 try:
                     values[key] = resolve(values[key])

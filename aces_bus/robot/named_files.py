@@ -1,4 +1,4 @@
-"""Files that a robot's file names: protocols in Python or in a database, and data of drivers (EDS, tables).
+"""Files that a robot's file names: protocols in Python or in a database, data of drivers (EDS, tables), bodies.
 
 1. A name is a path from the folder of the robot's file, and stays below it, whatever links are on the way.
 2. A Python file that the program has run already (`--driver FILE.py`, `load_protocol`) may be anywhere; no other is run
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from ..errors import CallerError
+from ..kinematics.bodies import body_format
 from ..protocol.exchange import database_suffixes
 from ..protocol.files import adopt_protocol, is_loaded, python_file
 
@@ -58,6 +59,18 @@ class NamedFiles:
         elif isinstance(setting, str) and setting.lower().endswith(DATA):
             found = self._below(setting)
         return found  # type: ignore[no-any-return]
+
+    def body(self, name: str) -> str:
+        """Return the name of a body; where it is a file, its path from where the program runs.
+
+        Raises `CallerError` for a file that is elsewhere, or wrong.
+        """
+        found = body_format(name)
+        if found is None:
+            return name
+        path = self._below(name)
+        found.load(path)
+        return path
 
     def _below(self, name: str) -> str:
         path, root = os.path.join(self._folder, name), Path(self._folder).resolve()

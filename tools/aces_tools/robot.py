@@ -6,6 +6,9 @@
                                       line; 1 when something is an error
   aces robot import Hubo2Plus.dd > robot.toml
                                       from a HuboCan tree
+  aces robot import arm.urdf -o arm.toml
+                                      from a URDF: joints, limits, its body;
+                                      a device of one driver for each joint
   aces robot import x.joint.table x.sensor.table x.home -o robot.toml
                                       from hubo-ach's tables; a .home alone is
                                       laid over a robot that ships (--base)
@@ -22,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +54,16 @@ ARGUMENTS: Arguments = (
         help="check: what is not installed or looks wrong is an error; joints that no watchdog stops are named"
     ),
     OUTPUT.but(metavar="FILE.toml", help="import: write there (default: standard output)"),
-    argument("--base", metavar="NAME", help="import: the robot that a .home table changes"),
+    argument(
+        "--base",
+        metavar="NAME|FILE",
+        help="import: the robot that a .home table changes, or whose devices a URDF's joints have",
+    ),
+    argument(
+        "--device",
+        metavar="DRIVER",
+        help="import: what drives each joint of a URDF, without --base (default: damiao)",
+    ),
     argument("--name", metavar="NAME", help="import: the name of the robot"),
     DRIVER_FILES,
     COLOR,
@@ -63,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         "strict": ("check",),
         "output": ("import",),
         "base": ("import",),
+        "device": ("import",),
         "name": ("import",),
     }.items():
         if getattr(arguments, option) and what not in verbs:
@@ -426,21 +440,35 @@ def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
     from aces_devices.robots import import_robot
 
     check_suffix("--output", arguments.output, ".json" if arguments.json else ".toml")
-    imported = import_robot(paths, base=arguments.base, name=arguments.name)
+    imported = import_robot(paths, base=arguments.base, name=arguments.name, device=arguments.device)
+    robot = imported.robot
+    if robot.body is not None and robot.body in paths:
+        robot = msgspec.structs.replace(robot, body=_beside(arguments.output, robot.body))
     for note in imported.notes:
         say_note(note)
     for warning in imported.warnings:
         if "is not installed" not in warning.text:
             say(str(warning))
     if arguments.json:
-        text = json.dumps(msgspec.to_builtins(imported.robot), ensure_ascii=False, indent=2) + "\n"
+        text = json.dumps(msgspec.to_builtins(robot), ensure_ascii=False, indent=2) + "\n"
     else:
         text = print_robot(
-            imported.robot,
+            robot,
             [
-                f"Made by `aces robot import` from {imported.robot.source}.",
+                f"Made by `aces robot import` from {robot.source}.",
+                *(imported.notes if robot.body else ()),
                 "What those files do not say is not here: the power board, for one.",
             ],
         )
     write_text(arguments.output, text, paths, is_quiet=True)
     return 0
+
+
+def _beside(output: str | None, body: str) -> str:
+    """Return a body's path from the folder of the robot's file; a note says when the body has to be copied there."""
+    folder = os.path.dirname(output or "") if output != "-" else ""
+    found = os.path.relpath(body, folder or ".")
+    if not found.startswith(os.pardir):
+        return found
+    say_note(f"copy {body} to the folder of the robot's file, which names it")
+    return os.path.basename(body)

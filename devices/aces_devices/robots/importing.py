@@ -1,20 +1,23 @@
-"""Robots from other programs' descriptions: HuboCan's `.dd` trees, hubo-ach's tables.
+"""Robots from other programs' descriptions: HuboCan's `.dd` trees, hubo-ach's tables, files with bodies (URDF).
 
-1. What a file is, its content says. Several files make one robot: a joint table, a sensor table, a .home table.
+1. What a file is, its content says; of a file with a body its suffix. Several files make one robot: a joint table, a
+   sensor table, a .home table.
 2. The robot is checked as one of ours is; what is wrong names the file and line that it came from.
-3. Nothing is made up: what the files do not say is absent. A .home table alone is laid over a robot that ships.
+3. Nothing is made up: what the files do not say is absent. A .home table alone is laid over a robot that ships. A file with
+   a body says nothing of devices: they are another robot's, or one of one driver for each joint, as a note says.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from aces_bus import list_robots
-from aces_bus.device import Robot
+from aces_bus.device import Robot, load_driver
 from aces_bus.errors import CallerError
+from aces_bus.kinematics.bodies import BodyFormat, body_format
 from aces_bus.robot.file import RobotError, RobotFileProblem, make_robot
 from aces_bus.robot.installed import robot_text
 
@@ -31,13 +34,24 @@ class ImportedRobot(NamedTuple):
 
 
 def import_robot(
-    paths: Sequence[str | Path], *, base: str | None = None, name: str | None = None
+    paths: Sequence[str | Path],
+    *,
+    base: str | None = None,
+    name: str | None = None,
+    device: str | None = None,
 ) -> ImportedRobot:
     """Return the robot that these files describe.
 
-    `base` is a robot that ships, for what a .home table is laid over; `name` is what the robot is to be called.
+    `base` is what a .home table is laid over (a robot that ships), or what has the devices of a body's joints (also a file);
+    `name` is what the robot is to be called, `device` the driver of a body's joints where there is no `base`.
     Raises `RobotError` with all that is wrong, and `CallerError` for files that are not descriptions or do not go together.
     """
+    if (bodies := body_format(str(paths[0]))) is not None:
+        return _with_body([str(path) for path in paths], bodies, base, name, device)
+    if device is not None:
+        raise CallerError(
+            "--device is for a file with a body, such as arm.urdf: the others say which devices there are"
+        )
     kinds: dict[str, list[Path]] = {}
     for given in paths:
         path = Path(given)
@@ -77,6 +91,82 @@ def import_robot(
     return ImportedRobot(robot, tuple(made.notes), tuple(p for p in said if p.is_warning))
 
 
+#: The driver of a body's joints where nobody names one: motors that are driven by position, speed and torque.
+USUAL_DEVICE: Final = "damiao"
+
+
+def _with_body(
+    paths: Sequence[str], found: BodyFormat, base: str | None, name: str | None, device: str | None
+) -> ImportedRobot:
+    """Return a robot with a file's joints, whose body is the file."""
+    (path, *others) = paths
+    if others:
+        raise CallerError(f"{path} is a whole robot: leave {', '.join(others)} away")
+    if base is not None and device is not None:
+        raise CallerError("--base and --device both say what drives the joints: name one")
+    joints = {joint: dict(keys) for joint, keys in found.robot_joints(path).items()}
+    notes: list[str] = []
+    content: dict[str, Any] = {
+        "name": Path(path).stem.partition(".")[0],
+        "buses": {},
+        "devices": {},
+        "joints": {},
+    }
+    if base is not None:
+        content |= tomllib.loads(_text_of(base))
+        own = content["joints"]
+        for joint in joints.keys() & own.keys():
+            own[joint] |= joints[joint]
+        others = [joint for joint in joints if joint not in own]
+        if len(others) == len(joints):
+            raise CallerError(f"{base} has none of the joints of {path}: {', '.join(others[:12])}")
+        if others:
+            notes.append(f"{base} has no {', '.join(others[:12])}, which {path} has: left out")
+    else:
+        content |= _devices_for(joints, device or USUAL_DEVICE)
+        notes.append(
+            f"{path} does not say what drives its joints: a {device or USUAL_DEVICE} for each, numbered in their order, is a"
+            " choice (--device DRIVER, --base ROBOT choose)"
+        )
+    content["body"] = path
+    sources = [content["source"]] if "source" in content else []
+    content["source"] = ", ".join([*sources, Path(path).name])
+    if name is not None:
+        content["name"] = name
+    robot, said = make_robot(content, lambda key: (path, 1))
+    if robot is None:
+        raise RobotError([problem for problem in said if not problem.is_warning])
+    return ImportedRobot(robot, tuple(notes), tuple(said))
+
+
+def _text_of(base: str) -> str:
+    """Return the text of a robot that ships, or of a file."""
+    if not base.lower().endswith(".toml"):
+        return robot_text(base)
+    try:
+        return Path(base).read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise CallerError(f"{base}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _devices_for(joints: Mapping[str, dict[str, Any]], driver: str) -> dict[str, Any]:
+    """Return a bus with a device for each joint, as the driver's example has one; its credentials are numbers from 1."""
+    example = tomllib.loads(load_driver(driver).example)
+    first = next(entry for entry in example["devices"].values() if entry["driver"] == driver)
+    bus = {
+        key: value
+        for key, value in example["buses"][first["bus"]].items()
+        if key not in ("channel", "interface")
+    }
+    kept = {key: value for key, value in first.items() if key in ("driver", "model", "dialect", "protocol")}
+    made: dict[str, Any] = {"buses": {"bus": bus}, "devices": {}, "joints": {}, "rate_hz": 100.0}
+    for number, (joint, keys) in enumerate(joints.items(), 1):
+        credentials = dict.fromkeys(first.get("credentials", ()), number)
+        made["devices"][f"M{number}"] = {**kept, "bus": "bus", "credentials": credentials, "channels": 1}
+        made["joints"][joint] = {"device": f"M{number}", **keys}
+    return made
+
+
 def _kind(path: Path) -> str:
     """Return what a file is; raises `CallerError` when it is not a description that is known."""
     lines = read_lines(path)
@@ -91,7 +181,7 @@ def _kind(path: Path) -> str:
         return "sensor table"
     raise CallerError(
         f"{path}: not a description that can be read: a .dd tree of HuboCan (begin TYPE …),"
-        " or a joint.table, sensor.table or .home of hubo-ach"
+        " a joint.table, sensor.table or .home of hubo-ach, or a file that ends in the suffix of a body's format (.urdf)"
     )
 
 

@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion
-set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot 'robot export' devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion
+set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -274,13 +274,21 @@ complete -c aces -n '_shtab_aces_using robot' -s h -l help -d 'show this help me
 complete -c aces -n '_shtab_aces_using robot' -l json -d 'JSON on standard output, for programs'
 complete -c aces -n '_shtab_aces_using robot' -l strict -d 'check: what is not installed or looks wrong is an error; joints that no watchdog stops are named'
 complete -c aces -n '_shtab_aces_using robot' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'import: write there (default: standard output)'
-complete -c aces -n '_shtab_aces_using robot' -l base -x -d 'import: the robot that a .home table changes'
+complete -c aces -n '_shtab_aces_using robot' -l base -xka "(__fish_complete_path (commandline -ct))" -d 'import: the robot that a .home table changes, or whose devices a URDF'"'"'s joints have'
+complete -c aces -n '_shtab_aces_using robot' -l device -x -d 'import: what drives each joint of a URDF, without --base (default: damiao)'
 complete -c aces -n '_shtab_aces_using robot' -l name -x -d 'import: the name of the robot'
 complete -c aces -n '_shtab_aces_using robot' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers, twins and protocols of a Python file, too; it is run with your rights'
 complete -c aces -n '_shtab_aces_using robot' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using robot' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using robot; and test $_shtab_aces_npos -eq 0' -ka "check list show import" -d 'what to do'
 complete -c aces -n '_shtab_aces_using robot; and test $_shtab_aces_npos -ge 1' -ka "(aces completion --list robots --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'robots; import: description files'
+complete -c aces -n '_shtab_aces_using robot; and test $_shtab_aces_npos -eq 0' -a export -d 'a robot'"'"'s mechanism as URDF: joints, limits, inertias'
+complete -c aces -n '_shtab_aces_using robot export' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using robot export' -l format -xka "urdf" -d 'the format (default: urdf)'
+complete -c aces -n '_shtab_aces_using robot export' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'write there (default: standard output)'
+complete -c aces -n '_shtab_aces_using robot export' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers, twins and protocols of a Python file, too; it is run with your rights'
+complete -c aces -n '_shtab_aces_using robot export' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
+complete -c aces -n '_shtab_aces_using robot export; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list robots --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'a robot that is installed, or its file (default: $ACES_ROBOT)'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a devices -d 'list the drivers, and what their devices can do'
 complete -c aces -n '_shtab_aces_using devices' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using devices' -l json -d 'JSON on standard output, for programs'
