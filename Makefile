@@ -112,7 +112,7 @@ mutants: $(VENV)/.dev ## plant faults and name those that no test notices; ARGS=
 	$(BIN)/python -m tests.mutants $(ARGS)
 
 test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins
-	$(PYTEST) tests/oracles tests/fleet/test_fleet_stores.py $(ARGS)
+	$(PYTEST) tests/oracles tests/ros2 tests/tools/test_ros2.py tests/fleet/test_fleet_stores.py $(ARGS)
 
 # LeRobot asks for far more than its bus class imports: that alone is installed, with PyTorch (TORCH names another build of it).
 LEROBOT := $(VENV)-lerobot

@@ -83,6 +83,7 @@ CONTENTS: dict[str, list[str]] = {
         "estop",
         "logging",
         "foxglove",
+        "ros2",
         "twins",
         "device-fuzzing",
     ],

@@ -53,6 +53,7 @@ FOR_PLUG_INS = ("docs/plugins.md",)
 TWICE: dict[str, str] = {
     "decode": "a recording's, and a fleet's",
     "is_wanted": "each module that adds options to a verb has one",
+    "open_view": "so has each that opens a live view",
     "pytest_addoption": "each plug-in of pytest has one",
     "run": "each verb of the command line has one",
 }

@@ -1,7 +1,8 @@
 """What a command sees and does, live, for who looks on: the contract of views that other packages open.
 
 1. A view is opened before anything else is, and closed last: a wrong port is found before a bus is touched.
-2. Which views there are, their options say (`verbs.OPTIONS_GROUP`): `--foxglove` is the lab's.
+2. Which views there are, their options say (`verbs.OPTIONS_GROUP`): `--foxglove` and `--ros2` are the lab's.
+3. What those who look on may command is a controller of the run, with guard and door as every other.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from aces_bus.errors import CallerError
+
 from .verbs import wanted_options
 
 if TYPE_CHECKING:
+    from aces_bus.controller.base import ControllerLike
     from aces_bus.controller.events import EventLike
+    from aces_bus.device import Robot
     from aces_bus.device.station import BusEndpoint
     from aces_bus.kinematics.body import Body
     from aces_bus.protocol import Variant
@@ -84,6 +89,12 @@ class LiveView(Protocol):
         """Return what shows lines of Python's `logging`."""
         ...
 
+    def controllers(
+        self, robot: Robot, rate_hz: float, others: Sequence[ControllerLike]
+    ) -> Sequence[ControllerLike]:
+        """Return controllers that carry out what comes from who looks on; a run has them beside its `others`."""
+        ...
+
 
 #: Events that are worth a look, and those that are more.
 _LEVELS: dict[str, Any] = {
@@ -113,11 +124,17 @@ def wants_view(verb: str, arguments: argparse.Namespace) -> bool:
 
 
 def live_view(verb: str, arguments: argparse.Namespace, name: str) -> AbstractContextManager[LiveView | None]:
-    """Open the view that a call asks for, or None. Raises `CallerError` for a missing extra and a port that is taken."""
-    for module in wanted_options(verb, arguments, "open_view"):
-        view: AbstractContextManager[LiveView] = module.open_view(arguments, name)
-        return view
-    return nullcontext()
+    """Open the view that a call asks for, or None.
+
+    Raises `CallerError` for a missing extra, a port that is taken, and two views.
+    """
+    wanted = list(wanted_options(verb, arguments, "open_view"))
+    if len(wanted) > 1:
+        raise CallerError("two live views at once: choose one of --foxglove, --ros2 and others")
+    if not wanted:
+        return nullcontext()
+    view: AbstractContextManager[LiveView] = wanted[0].open_view(arguments, name)
+    return view
 
 
 def show_event(view: LiveView, event: EventLike) -> None:

@@ -20,7 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Any, Literal, Never, Self
 from typing import Protocol as Interface
 
 import msgspec
@@ -281,6 +281,10 @@ class FoxgloveView:
     def lines(self) -> LogLines:
         """Return what shows lines of Python's `logging`."""
         return LogLines(self)
+
+    def controllers(self, robot: object, rate_hz: float, others: object) -> Sequence[Never]:
+        """Return none: who looks on commands nothing."""
+        return ()
 
     def log(self, instant: int, level: Level, name: str, message: str) -> None:
         """Put a line into `/log`; `instant` in ns of the clock."""

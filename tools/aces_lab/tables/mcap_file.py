@@ -48,9 +48,9 @@ def _packer() -> tuple[str, Callable[[bytes], bytes]]:
 
 
 class McapWriter:
-    """An MCAP of JSON messages, uncut at any moment. Raises `OSError` where the file cannot be written."""
+    """An MCAP, uncut at any moment, of a profile ("": none). Raises `OSError` where the file cannot be written."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, *, profile: str = "") -> None:
         self._compression, self._pack = _packer()
         self._file = AppendFile(path)
         self._schemas = self._channels = b""
@@ -60,17 +60,25 @@ class McapWriter:
         self._counts: dict[int, int] = {}
         self._first, self._last = 1 << 64, 0
         self._is_closed = False
-        self._file.write(MAGIC + _record(HEADER, _text("") + _text("aces-bus")))
+        self._file.write(MAGIC + _record(HEADER, _text(profile) + _text("aces-bus")))
 
-    def channel(self, topic: str, title: str, schema: bytes, metadata: Mapping[str, str]) -> int:
-        """Declare a channel of messages that a JSON schema describes; returns its number."""
+    def channel(
+        self,
+        topic: str,
+        title: str,
+        schema: bytes,
+        metadata: Mapping[str, str],
+        *,
+        schema_encoding: str = "jsonschema",
+        encoding: str = "json",
+    ) -> int:
+        """Declare a channel of messages, JSON that a JSON schema describes if nothing else is said; returns its number."""
         number = len(self._counts) + 1
         pairs = b"".join(_text(key) + _text(value) for key, value in metadata.items())
-        described = _record(
-            SCHEMA, struct.pack("<H", number) + _text(title) + _text("jsonschema") + _text(schema)
-        )
+        head = struct.pack("<H", number) + _text(title) + _text(schema_encoding)
+        described = _record(SCHEMA, head + _text(schema))
         declared = _record(
-            CHANNEL, struct.pack("<HH", number, number) + _text(topic) + _text("json") + _text(pairs)
+            CHANNEL, struct.pack("<HH", number, number) + _text(topic) + _text(encoding) + _text(pairs)
         )
         self._file.write(described + declared)
         self._schemas += described
@@ -79,7 +87,7 @@ class McapWriter:
         return number
 
     def chunk(self, messages: Sequence[tuple[int, int, bytes]]) -> None:
-        """Append one chunk of messages, (channel, instant in ns, JSON), and the index of each channel in it."""
+        """Append one chunk of messages, (channel, instant in ns, content), and the index of each channel in it."""
         places: dict[int, list[bytes]] = {}
         parts: list[bytes] = []
         place = 0

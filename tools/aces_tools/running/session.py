@@ -154,6 +154,8 @@ class Session:
         with ExitStack() as stack:
             stack.enter_context(self.patience)
             view = stack.enter_context(live_view("run", self.arguments, self.title))
+            if view is not None:
+                self.controllers += view.controllers(self.robot, self.rate_hz, self.controllers)
             runner = self._make(stack, self._live_states(view))
             if view is not None:
                 self._show_live(view, runner, stack)

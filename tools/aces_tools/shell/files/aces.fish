@@ -51,7 +51,7 @@ function _shtab_aces_using
 end
 
 set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot 'robot export' devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion
-set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --domain --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --ros2-bag --ros2-interface --ros2-peer --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -166,6 +166,12 @@ complete -c aces -n '_shtab_aces_using sniff' -l half-duplex -d 'one pair of wir
 complete -c aces -n '_shtab_aces_using sniff' -l udp -x -d 'UDP datagrams, by default of this machine only'
 complete -c aces -n '_shtab_aces_using sniff' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
 complete -c aces -n '_shtab_aces_using sniff' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
+complete -c aces -n '_shtab_aces_using sniff' -l ros2 -d 'publish joint states, sensors and diagnostics for ROS 2 programs of this machine; needs '"'"'aces-bus[ros2]'"'"''
+complete -c aces -n '_shtab_aces_using sniff' -l domain -x -d 'with --ros2: the domain, ROS_DOMAIN_ID (default: 0)'
+complete -c aces -n '_shtab_aces_using sniff' -l ros2-commands -d 'with --ros2: take trajectories and commands of joints (run, with --tx)'
+complete -c aces -n '_shtab_aces_using sniff' -l ros2-bag -xka "(__fish_complete_path (commandline -ct))" -d 'with --ros2: write all that is published, as a bag'
+complete -c aces -n '_shtab_aces_using sniff' -l ros2-interface -x -d 'with --ros2: this network interface in place of loopback'
+complete -c aces -n '_shtab_aces_using sniff' -l ros2-peer -x -d 'with --ros2-interface: a machine that is looked for there'
 complete -c aces -n '_shtab_aces_using sniff; and test $_shtab_aces_npos -ge 0' -ka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'can0, unix:can0, a serial port or its URL, several CAN buses; or by the options below'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a send -d 'send a message, once or periodically; only with --tx'
 complete -c aces -n '_shtab_aces_using send' -s h -l help -d 'show this help message and exit'
@@ -388,6 +394,12 @@ complete -c aces -n '_shtab_aces_using sim' -l driver -xka "(__fish_complete_pat
 complete -c aces -n '_shtab_aces_using sim' -l baud -x -d 'speed of its serial lines (default: the file'"'"'s)'
 complete -c aces -n '_shtab_aces_using sim' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
 complete -c aces -n '_shtab_aces_using sim' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
+complete -c aces -n '_shtab_aces_using sim' -l ros2 -d 'publish joint states, sensors and diagnostics for ROS 2 programs of this machine; needs '"'"'aces-bus[ros2]'"'"''
+complete -c aces -n '_shtab_aces_using sim' -l domain -x -d 'with --ros2: the domain, ROS_DOMAIN_ID (default: 0)'
+complete -c aces -n '_shtab_aces_using sim' -l ros2-commands -d 'with --ros2: take trajectories and commands of joints (run, with --tx)'
+complete -c aces -n '_shtab_aces_using sim' -l ros2-bag -xka "(__fish_complete_path (commandline -ct))" -d 'with --ros2: write all that is published, as a bag'
+complete -c aces -n '_shtab_aces_using sim' -l ros2-interface -x -d 'with --ros2: this network interface in place of loopback'
+complete -c aces -n '_shtab_aces_using sim' -l ros2-peer -x -d 'with --ros2-interface: a machine that is looked for there'
 complete -c aces -n '_shtab_aces_using sim' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a run -d 'run controllers on a robot, simulated, real (--tx) or recorded'
 complete -c aces -n '_shtab_aces_using run' -s h -l help -d 'show this help message and exit'
@@ -422,6 +434,12 @@ complete -c aces -n '_shtab_aces_using run' -l seed -x -d 'of the twins (default
 complete -c aces -n '_shtab_aces_using run' -l pose -x -d 'where a twin'"'"'s joint is at first: 0.3 (rad, m) or 20deg'
 complete -c aces -n '_shtab_aces_using run' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
 complete -c aces -n '_shtab_aces_using run' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
+complete -c aces -n '_shtab_aces_using run' -l ros2 -d 'publish joint states, sensors and diagnostics for ROS 2 programs of this machine; needs '"'"'aces-bus[ros2]'"'"''
+complete -c aces -n '_shtab_aces_using run' -l domain -x -d 'with --ros2: the domain, ROS_DOMAIN_ID (default: 0)'
+complete -c aces -n '_shtab_aces_using run' -l ros2-commands -d 'with --ros2: take trajectories and commands of joints (run, with --tx)'
+complete -c aces -n '_shtab_aces_using run' -l ros2-bag -xka "(__fish_complete_path (commandline -ct))" -d 'with --ros2: write all that is published, as a bag'
+complete -c aces -n '_shtab_aces_using run' -l ros2-interface -x -d 'with --ros2: this network interface in place of loopback'
+complete -c aces -n '_shtab_aces_using run' -l ros2-peer -x -d 'with --ros2-interface: a machine that is looked for there'
 complete -c aces -n '_shtab_aces_using run; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'FILE.py, FILE.py:NAME, or a file of set-points'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a protocols -d 'list protocols, their messages, and the layout of a message'
 complete -c aces -n '_shtab_aces_using protocols' -s h -l help -d 'show this help message and exit'
