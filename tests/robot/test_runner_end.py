@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from aces_bus import load_robot
-from aces_bus.controller import IGNORE, Controller, stop
+from aces_bus.controller import IGNORE, Controller, Guard, Supervisor, stop
 from aces_bus.controller.reactions import Reaction
 from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
@@ -599,3 +599,64 @@ def test_a_stop_that_was_interrupted_is_begun_again(monkeypatch: pytest.MonkeyPa
         run.stop()
     assert (raised, run.ended().not_stopped) == ([], {})
     assert run.world.twins["A"].left == 0
+
+
+def test_a_run_that_was_never_opened_has_nothing_to_stop() -> None:
+    """Its end sends nothing, and names no device as not stopped."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    run.stop()
+    assert (run.ended().failed, run.ended().not_stopped) == ([], {})
+    assert run.clock.now() == 0
+
+
+def test_a_bus_that_says_itself_why_it_cannot_be_opened_is_not_reworded() -> None:
+    """An error of ours comes out as it is, with its class and text."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+
+    def refuse(*, is_started: bool = False) -> None:
+        raise DeviceError("line: another program drives it")
+
+    run.rig.hosts["line"].open = refuse  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"^line: another program drives it$"):
+        run.open()
+
+
+def test_a_supervisor_s_own_dead_man_stays() -> None:
+    """A program that has set the time after which its controller is dead keeps it; without one the run sets one."""
+    for given, expected in ((0.7, 700_000_000), (None, 100_000_000)):
+        supervisor = Supervisor(Drive(), Guard({}, period_s=0.02), dead_man_s=given)
+        run = run_virtual(robot_of(ROBOT), [supervisor], load=drivers)
+        assert run.supervisors == [supervisor]
+        assert supervisor.dead_man_ns == expected
+
+
+def test_a_forgotten_end_raises_for_what_was_not_stopped() -> None:
+    """At the interpreter's exit nobody reads how the run ended: a device that did not stop is raised."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    run.open()
+    run.start()
+    run.world.clock.advance(100_000_000)
+
+    def never() -> None:
+        raise ValueError("no such thing")
+
+    run.rig.devices["A"].stop_motion = never  # type: ignore[method-assign]
+    with pytest.raises(NotStoppedError, match="no such thing"):
+        run._end_at_exit()
+
+
+def test_a_trip_is_obeyed_once() -> None:
+    """Looked at again and again, a trip has its devices stopped once, and none where nothing has tripped."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers, reactions={**CALM, "dead-man": stop()})
+    stopped: list[str] = []
+    with run:
+        run.start()
+        faults, supervisor = run._faults, run.supervisors[0]
+        faults._stop = lambda name, devices: stopped.append(name)  # type: ignore[method-assign]
+        faults.obey(supervisor)
+        assert stopped == []
+        supervisor.emit_dead(run.clock.now(), "on purpose")
+        faults.obey(supervisor)
+        faults.obey(supervisor)
+        assert stopped == ["drive"]
+        assert "on purpose" in faults.stopped["drive"]
