@@ -25,7 +25,7 @@ from construct import ConstructError
 from ..errors import AcesError
 from ..frame_table import FrameTable
 from ..frames import EXTENDED
-from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
+from ..protocol.declare.ambiguity import Conflict, are_apart, unresolved
 from ..protocol.declare.framing import Verdict
 from ..protocol.declare.message import DIRECTIONS, Message
 from ..protocol.declare.packet import frame_image
@@ -531,7 +531,7 @@ def _apart(variant: Variant, direction: Way) -> dict[str, tuple[Message, ...]]:
     found: dict[str, list[Message]] = {m.name: [] for m in messages}
     for i, message in enumerate(messages):
         for other in messages[:i]:
-            if conflict(message, other) is None:
+            if are_apart(message, other):
                 found[message.name].append(other)
                 found[other.name].append(message)
     return {name: tuple(others) for name, others in found.items()}

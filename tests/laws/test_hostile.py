@@ -30,13 +30,18 @@ CHUNK = 61
 
 
 def wires(link: str) -> list[tuple[Variant, Way]]:
-    """Every registered protocol in every dialect and direction; of the others one."""
+    """Every registered protocol in every dialect and direction that has framings of its own; of the others one."""
     found: list[tuple[Variant, Way]] = []
     for name, protocol in PROTOCOLS.items():
         if protocol.link == "can" and link == "can":
             found += wires_of(protocol)[: 2 if name in REGISTERED or name in CORNERS else 1]
         elif protocol.link != "can" and link != "can":
-            found += wires_of(protocol)[: None if name in REGISTERED else 1]
+            wires = wires_of(protocol)[: None if name in REGISTERED else 1]
+            # The first of each set of framings: what is sent is made of them alone.
+            found += {
+                frozenset(m.framing for m in variant.messages_for(way)): (variant, way)
+                for variant, way in reversed(wires)
+            }.values()
     return found
 
 

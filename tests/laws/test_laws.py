@@ -30,7 +30,9 @@ from tests.laws.drawn import drawn_arguments
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 
 #: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
-EXAMPLES = 6
+EXAMPLES = 4
+#: Dialects, configurations and directions of a protocol in `make test`; as many again, or more, are in `make test-slow`.
+CASES_OF_A_PROTOCOL = 4
 #: Shrinking is ours: it knows what a packet is.
 PHASES = (Phase.explicit, Phase.generate)
 #: Where scenes that break a law are kept: when they are drawn anew, for else they come again by themselves.
@@ -50,9 +52,20 @@ def _is_long() -> bool:
     return settings().max_examples > 100
 
 
-def _some(cases: Sequence[Case]) -> list[Case]:
-    """In the short profile, every second case of a protocol of many dialects, configurations and directions."""
-    return [one for number, one in enumerate(cases) if _is_long() or one.share <= 8 or number % 2 == 0]
+def _some(cases: Sequence[Case]) -> list[Any]:
+    """In the short profile, every second case of a protocol of many dialects, configurations and directions, few of them
+    quick."""
+    chosen: list[Any] = []
+    for number, one in enumerate(cases):
+        if (
+            _is_long()
+            or one.share <= CASES_OF_A_PROTOCOL
+            or number % -(-one.share // CASES_OF_A_PROTOCOL) == 0
+        ):
+            chosen.append(pytest.param(one, id=str(one)))
+        elif one.share <= 8 or number % 2 == 0:
+            chosen.append(pytest.param(one, id=str(one), marks=pytest.mark.slow))
+    return chosen
 
 
 def _examples(case: Case) -> int:

@@ -151,23 +151,21 @@ SCREEN = {
 
 
 @pytest.mark.parametrize("ending", [b"\n", b"\r\n", b""], ids=["LF", "CRLF", "no end"])
-@pytest.mark.parametrize("case", LOG)
-def test_a_log_line_gives_its_frame(case: str, ending: bytes) -> None:
+def test_a_log_line_gives_its_frame(ending: bytes) -> None:
     """Every form of `candump -L` line is read, whatever ends it."""
-    line, expected = LOG[case]
-    frames, capture = read(line + ending)
-    assert frames == [expected]
-    add_up(capture, line + ending)
+    for case, (line, expected) in LOG.items():
+        frames, capture = read(line + ending)
+        assert frames == [expected], case
+        add_up(capture, line + ending)
 
 
 @pytest.mark.parametrize("ending", [b"\n", b"\r\n", b""], ids=["LF", "CRLF", "no end"])
-@pytest.mark.parametrize("case", SCREEN)
-def test_a_screen_line_gives_its_frame(case: str, ending: bytes) -> None:
+def test_a_screen_line_gives_its_frame(ending: bytes) -> None:
     """What candump prints on a terminal is read too, with each of its display options."""
-    line, expected = SCREEN[case]
-    frames, capture = read(line + ending)
-    assert frames == [expected]
-    add_up(capture, line + ending)
+    for case, (line, expected) in SCREEN.items():
+        frames, capture = read(line + ending)
+        assert frames == [expected], case
+        add_up(capture, line + ending)
 
 
 def test_a_date_is_local_time() -> None:
@@ -210,16 +208,16 @@ UNREADABLE = {
 
 
 @pytest.mark.parametrize("ending", [b"\n", b"\r\n", b""], ids=["LF", "CRLF", "no end"])
-@pytest.mark.parametrize("reason", UNREADABLE)
-def test_an_unreadable_line_is_counted_with_its_reason(reason: str, ending: bytes) -> None:
+def test_an_unreadable_line_is_counted_with_its_reason(ending: bytes) -> None:
     """A wrong line costs nothing but itself: it is counted, and says where it is and why."""
-    content = GOOD + UNREADABLE[reason] + ending
-    frames, capture = read(content)
-    assert len(frames) == 1
-    assert [(problem.line, problem.reason) for problem in capture.problems] == [(2, reason.strip())]
-    assert capture.problems[0].excerpt.isprintable()
-    assert len(capture.problems[0].excerpt) <= 4 * 80
-    add_up(capture, content)
+    for reason, line in UNREADABLE.items():
+        content = GOOD + line + ending
+        frames, capture = read(content)
+        assert len(frames) == 1, reason
+        assert [(problem.line, problem.reason) for problem in capture.problems] == [(2, reason.strip())]
+        assert capture.problems[0].excerpt.isprintable(), reason
+        assert len(capture.problems[0].excerpt) <= 4 * 80, reason
+        add_up(capture, content)
 
 
 def test_remarks_and_blank_lines_are_no_faults() -> None:

@@ -69,12 +69,18 @@ def is_nearly(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
 @settings(max_examples=EXAMPLES)
 @given(data=st.data())
-def test_printed_functions_give_what_the_slow_ways_give(
-    variant: Variant, way: Any, data: st.DataObject
-) -> None:
+def test_writers_say_what_records_hold(variant: Variant, way: Any, data: st.DataObject) -> None:
+    """Whatever came over the wire, each of the three formats has all of it, as the slow and obvious ways have it."""
+    items = items_of(variant, way, data.draw(strategies.scenes(variant, way, size=200)))
+    printed_functions_give_what_the_slow_ways_give(variant, items)
+    record_lines_say_what_records_hold(variant, items)
+    text_is_safe_and_whole(variant, items)
+    rows_have_the_columns_of_the_header(variant, items, data.draw(st.sampled_from(sorted(variant.messages))))
+
+
+def printed_functions_give_what_the_slow_ways_give(variant: Variant, items: list[Any]) -> None:
     """Lines of all three formats, by functions printed from the plan, are to the byte what walking the plan for each record
     makes of them."""
-    items = items_of(variant, way, data.draw(strategies.scenes(variant, way, size=200)))
     plans, link = plans_of([variant]), "can" if variant.link == "can" else "serial"
     text, slow_text = TextOutput(plans, None), TextOutput(plans, None, paint=lambda style, one: one)
     lines, rows = JsonLines(plans, None), CsvOutput(plans, None, only=None, links=frozenset({link}))
@@ -104,12 +110,8 @@ def slow_cell(leaf: RecordLeaf, item: Any) -> str:
     return "" if made is None else cell_text(made) if isinstance(made, str) else str(made)
 
 
-@pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
-@settings(max_examples=EXAMPLES)
-@given(data=st.data())
-def test_record_lines_say_what_records_hold(variant: Variant, way: Any, data: st.DataObject) -> None:
+def record_lines_say_what_records_hold(variant: Variant, items: list[Any]) -> None:
     """One line an item, and reading the line gives the record's values, whatever came over the wire."""
-    items = items_of(variant, way, data.draw(strategies.scenes(variant, way, size=200)))
     writer = JsonLines(plans_of([variant]), None)
     writer.begin("x", "can" if variant.link == "can" else "serial")
     lines = writer.items(items).decode().split("\n")
@@ -131,12 +133,8 @@ def test_record_lines_say_what_records_hold(variant: Variant, way: Any, data: st
             assert (read["offset"], read["size"]) == (item.meta.offset, item.meta.size)
 
 
-@pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
-@settings(max_examples=EXAMPLES)
-@given(data=st.data())
-def test_text_is_safe_and_whole(variant: Variant, way: Any, data: st.DataObject) -> None:
+def text_is_safe_and_whole(variant: Variant, items: list[Any]) -> None:
     """Without a terminal one item is one line; nothing printed is a control character; a width is kept, word by word."""
-    items = items_of(variant, way, data.draw(strategies.scenes(variant, way, size=200)))
     link = "can" if variant.link == "can" else "serial"
     plain_writer = TextOutput(plans_of([variant]), None)
     plain_writer.begin("x", link)
@@ -166,14 +164,10 @@ def _marks() -> list[tuple[str, str]]:
 STYLE_MARKS = _marks()
 
 
-@pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
-@settings(max_examples=EXAMPLES)
-@given(data=st.data())
-def test_rows_have_the_columns_of_the_header(variant: Variant, way: Any, data: st.DataObject) -> None:
+def rows_have_the_columns_of_the_header(variant: Variant, items: list[Any], name: str) -> None:
     """Every row of both forms of CSV has as many cells as the header, whatever the values."""
-    items = items_of(variant, way, data.draw(strategies.scenes(variant, way, size=200)))
     link = "can" if variant.link == "can" else "serial"
-    for only in (None, data.draw(st.sampled_from(sorted(variant.messages)))):
+    for only in (None, name):
         kept = [item for item in items if only is None or type(item).__name__ == only]
         writer = CsvOutput(plans_of([variant]), None, only=only, links=frozenset({link}))
         text = (writer.begin("x", link) + writer.items(kept)).decode()

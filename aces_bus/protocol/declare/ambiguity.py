@@ -190,11 +190,24 @@ def conflict(one: Message, other: Message) -> Conflict | None:
     """Return the conflict of two messages by their bytes alone, or None when they are disjoint."""
     if one.framing is None or other.framing is None:
         return _can_conflict(one, other)
+    if are_apart(one, other):
+        return None
     if one.framing.covers_request or other.framing.covers_request:
-        return Conflict(one, other, None)  # bytes alone do not even say whether a check holds
+        return Conflict(one, other, None)
+    found = _search(one, other)
+    return Conflict(one, other, found if found is not None else _search(other, one))
+
+
+@lru_cache(maxsize=65536)
+def are_apart(one: Message, other: Message) -> bool:
+    """Return whether their bytes alone tell two messages apart. Looks for no packet of both, as `conflict` does."""
+    if one.framing is None or other.framing is None:
+        return conflict(one, other) is None
+    if one.framing.covers_request or other.framing.covers_request:
+        return False  # bytes alone do not even say whether a check holds
     if one.framing is not other.framing:
-        return _framings_conflict(one, other)
-    return _stream_conflict(one, other)
+        return _are_framings_apart(one, other)
+    return _are_packets_apart(one, other)
 
 
 def opposite_conflicts(messages: Iterable[Message]) -> Iterator[tuple[Message, Message]]:
@@ -202,7 +215,7 @@ def opposite_conflicts(messages: Iterable[Message]) -> Iterator[tuple[Message, M
     listed = [message for message in messages if message.direction is not None]
     for index, message in enumerate(listed):
         for other in listed[:index]:
-            if message.direction != other.direction and conflict(message, other) is not None:
+            if message.direction != other.direction and not are_apart(message, other):
                 yield message, other
 
 
@@ -216,7 +229,7 @@ def needing_context(messages: Sequence[Message]) -> frozenset[str]:
         if (message.reply_to or message.after)
         and (
             message.request_fields
-            or any(conflict(message, other) for other in messages if other is not message)
+            or any(not are_apart(message, other) for other in messages if other is not message)
         )
     )
 
@@ -418,42 +431,37 @@ def _confirmed(
 # ---------------------------------------------------------------------- streams
 
 
-def _framings_conflict(one: Message, other: Message) -> Conflict | None:
+def _are_framings_apart(one: Message, other: Message) -> bool:
+    """Return whether two messages of different framings have no packet in common."""
     a, b = one.framing, other.framing
     assert isinstance(a, Framing)
     assert isinstance(b, Framing)
     # Stuffing of whole packets moves their bytes: then only the bytes on the wire can be compared.
     moved = any(f.stuffing is not None and not f.stuffing.is_inside for f in (a, b))
     if not moved and _merge(one, other, None) is None:
-        return None
+        return True
     shared = min(len(a.sync), len(b.sync))
     if a.sync[:shared] != b.sync[:shared]:
-        return None
-    for first, second in ((a, b), (b, a)):
-        if (
-            first.not_next
-            and len(second.sync) > len(first.sync)
-            and second.sync[len(first.sync)] in first.not_next
-        ):
-            return None
-    for message, against in ((one, other), (other, one)):
-        witness = _search(message, against)
-        if witness is not None:
-            return Conflict(one, other, witness)
-    return Conflict(one, other, None)
+        return True
+    return any(
+        bool(first.not_next)
+        and len(second.sync) > len(first.sync)
+        and second.sync[len(first.sync)] in first.not_next
+        for first, second in ((a, b), (b, a))
+    )
 
 
-def _stream_conflict(one: Message, other: Message) -> Conflict | None:
+def _are_packets_apart(one: Message, other: Message) -> bool:
+    """Return whether two messages of a framing have no packet in common, checks aside."""
     if _merge(one, other, None) is None:
-        return None
+        return True
     lengths, others = one.plan.lengths, other.plan.lengths
     if lengths is not None and others is not None and not set(lengths) & set(others):
-        return None
-    for mine, theirs in ((lengths, other.plan.least), (others, one.plan.least)):
-        if mine is not None and max(mine) < theirs:
-            return None
-    witness = _search(one, other) or _search(other, one)
-    return Conflict(one, other, witness)
+        return True
+    return any(
+        mine is not None and max(mine) < theirs
+        for mine, theirs in ((lengths, other.plan.least), (others, one.plan.least))
+    )
 
 
 def _search(one: Message, other: Message) -> bytes | None:
