@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
-from math import degrees
+from math import degrees, radians
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import pytest
 
 from aces_bus import Frame, as_dict
 from aces_bus.errors import CallerError, FieldError
+from aces_bus.frames import EXTENDED
+from aces_bus.protocol import FastPacket, Protocol
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.testing import LAWS, Scene
@@ -98,7 +100,122 @@ def test_what_cannot_be_said_is_left_out_by_name() -> None:
     assert said["PGN transferred"].startswith("PGN transferred: its frames are those of J1939 transport")
     (half,) = (one for one in boat().losses if "half" in one.reason)
     assert '"half"' in BOAT.read_text(encoding="utf-8").splitlines()[half.line - 1]
-    assert boat().protocol["ownStatus"].place.line == 37
+    assert boat().protocol["ownStatus"].place.line == 45
+
+
+def whole(protocol: Protocol, pgn: int, data: str) -> Any:
+    """What a packet of a group decodes to, in one frame or as a fast packet, and that it is built again as it was."""
+    key = 3 << 26 | (pgn | (255 if pgn >> 8 & 0xFF < 240 else 0)) << 8 | 19
+    body = bytes.fromhex(data)
+    if pgn in (61184, 65304):
+        frames = [Frame(key, body, is_extended_id=True)]
+    else:
+        parts = FastPacket().split(key | EXTENDED, body, 0, b"")
+        frames = [Frame(identifier & 0x1FFF_FFFF, part, is_extended_id=True) for identifier, part in parts]
+    (record,) = protocol.scanner().feed(frames)
+    again = protocol.encode(type(record).__name__, **as_dict(record))
+    sent = again if isinstance(again, list) else [again]
+    assert [bytes(frame.data) for frame in sent] == [bytes(frame.data) for frame in frames]
+    return record
+
+
+def plain(data: Any) -> Any:
+    """The data of an item: its fields by name, where it has several."""
+    return (
+        as_dict(data) if hasattr(data, "__struct_fields__") else dict(data) if hasattr(data, "keys") else data
+    )
+
+
+def items(record: Any) -> list[tuple[Any, Any]]:
+    """The kind and the data of the items that are good, of the others the reason."""
+    return [(item.kind, item.data if item.reason is None else item.reason) for item in record.list]
+
+
+def test_values_by_key_are_items() -> None:
+    """Key and length of one number, a key alone in front of other fields, a length alone; what is unknown costs itself."""
+    protocol = boat().protocol
+    record = whole(protocol, 130831, "07 0B 20 10 27 0C 40 01 00 00 00 00 11 02 0B 10 55 99 19 AA FF")
+    assert items(record) == [
+        ("rudderAngle", 1.0),
+        ("rudderAngle_", 1),
+        ("state", "Perhaps"),
+        ("rudderAngle", "malformed: 1 bytes, and rudderAngle has 2"),
+        (0x999, "unknown"),
+        (None, "malformed: 1 bytes are left of an item"),
+    ]
+    record = whole(protocol, 65304, "0B 00 05 F0 D8 FF FF")
+    assert (record.list[0].kind, as_dict(record.list[0].data)) == (
+        "rudderAngle",
+        {"operation": 5, "value": -1.0},
+    )
+    record = whole(protocol, 130832, "01 04 07 00 AA BB 02 08 00")
+    assert [(entry.kind, entry.value) for entry in record.list] == [(7, b"\xaa\xbb"), (8, b"")]
+
+
+def test_parameters_of_a_group_function_have_the_fields_of_their_group() -> None:
+    """By their number, in whole bytes; the values exclude other forms; what is not known is bytes."""
+    record = whole(boat().protocol, 126208, "01 14 FF 00 03 01 FE 07 03 04 06 2A 00")
+    assert [(kind, as_dict(data)) for kind, data in items(record)] == [
+        (1, {"manufacturerCode": "Own"}),
+        (3, {"industryCode": 4}),
+        (6, {"power": -19958}),
+    ]
+    unknown = whole(boat().protocol, 126208, "01 14 FF 00 01 09 FE 07")
+    assert items(unknown) == [(9, "unknown")]
+    record = whole(boat().protocol, 130834, "14 FF 00 01 02 03")
+    assert (record.pgn, record.trailing) == (0xFF14, b"\1\2\3")
+    said = [str(problem) for problem in boat().problems if "trailing" in str(problem)]
+    assert [text.partition("PGN ")[2] for text in said] == [
+        "read: a field that is there on a condition: bytes from maker on are in trailing"
+    ]
+
+
+#: Packets of canboat's `analyzer/tests` (keyvalue-wide-field, pgn-dynamic-units, pgn-126208-request-130817,
+#: pgn-130823-directory), and what its analyzer prints of their lists.
+CANBOAT: list[tuple[int, str, list[Any]]] = [
+    (
+        130824,
+        "7D 99 7E 20 CB 00 7C 20 00 05 32 21 A8 46 33 21 B5 4D 12 D1 F4 03 50 21 56 5E 51 21 95 0A 21 6B F5 6C 21 56 2C"
+        " 6D 21 56 2B FF",
+        [2.03, 128.0, radians(103.6), radians(114.0), None, 1135.0, 1109.4, None],
+    ),
+    (61184, "66 99 10 03 D2 04 00 00", [44_424_000 / 3_600_000]),
+    (61184, "66 99 EC ED 2D 75", [299.97]),
+    (61184, "66 99 00 10 C8 00", [720_000 / 3600]),
+    (130845, "41 9F FF 00 FF FF 00 00 00 02 88 13", [{"operation": "Reply", "value": 0.5}]),
+    (
+        126208,
+        "00 01 FF 01 FF FF FF FF FF FF 03 01 13 01 03 04 04 4B 23",
+        [{"manufacturerCode": "Navico"}, {"industryCode": "Marine Industry"}, {"featureId": 9035}],
+    ),
+]
+
+
+@pytest.mark.shared
+def test_lists_of_canboat_s_own_samples(shared_captures: Path) -> None:
+    """All entries of the table but those of unknown groups and of the ISO transport are taken over; values are canboat's."""
+    loaded = load_database(shared_captures / "nmea2000" / "canboat.json")
+    assert (len(loaded.protocol.declared), len(loaded.losses)) == (597, 14)
+    reasons = {problem.reason.partition(": ")[2] for problem in loaded.losses}
+    assert reasons == {
+        "an entry for all unknown PGNs: left out",
+        "its frames are those of J1939 transport, which are put together: left out",
+    }
+    for pgn, data, wanted in CANBOAT:
+        given = whole(loaded.protocol, pgn, data).list
+        found = [None if item.reason is not None else plain(item.data) for item in given]
+        for value, right in zip(found, wanted, strict=True):
+            assert value == (pytest.approx(right, abs=1e-3) if isinstance(right, float) else right)
+    directory = whole(
+        loaded.protocol,
+        130823,
+        "13 99 FF 00 05 01 00 0A 00 55 02 BC 2F 00 96 50 C0 FF 04 02 26 00 00 04 02 27 00 00",
+    )
+    assert [(entry.type, entry.dataType, entry.value.hex()) for entry in directory.list] == [
+        (0, "Yanmar Fuel Level Tank1 Stbd", "bc2f009650c0ff"),
+        (2, "Current Set", "00"),
+        (2, "Current Drift", "00"),
+    ]
 
 
 def test_the_laws_hold() -> None:

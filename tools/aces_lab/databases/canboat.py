@@ -1,6 +1,7 @@
 """canboat's table of NMEA 2000 (`canboat.json`) as a protocol: a message each PGN, or each of a PGN's proprietary forms.
 
-1. A PGN whose shape cannot be said is left out, with the reason; it costs itself, not the file.
+1. A PGN whose shape cannot be said is declared up to the field that cannot, where bytes may be behind it, or left out;
+   both with the reason. It costs itself, not the file.
 2. Fast packets may also come by the transport of ISO 11783, and what is too long for them does.
 3. What has the same numbers in front (manufacturer, industry, …) is matched by them: they are the message's template,
    and reserved bits among them are captured, so that no bit is lost.
@@ -34,6 +35,7 @@ from aces_bus.protocol import (
     FastPacket,
     Flags,
     IdField,
+    Items,
     J1939Transport,
     Message,
     Protocol,
@@ -57,6 +59,8 @@ from aces_bus.protocol.exchange.problems import (
     without_place,
 )
 
+from .canboat_lists import GroupParameters, KeyedItems, Parameter, camel, field_types
+
 #: Bytes of the largest table, and its PGNs, forms of one PGN, fields, and values with names: canboat's has 3 MB, 611, 56,
 #: 5,000 and 6,000.
 MOST_BYTES, MOST_PGNS, MOST_FORMS, MOST_FIELDS, MOST_NAMES = 32 * 1024 * 1024, 4096, 128, 32_768, 262_144
@@ -75,6 +79,7 @@ _TRANSPORTS: dict[str, Transport | None] = {
 #: What is a number; of the others `_KINDS` says what they are.
 _NUMBERS = frozenset(
     {"NUMBER", "TIME", "DURATION", "DATE", "PGN", "MMSI", "ISO_NAME", "FIELD_INDEX", "INDIRECT_LOOKUP"}
+    | {"DYNAMIC_FIELD_KEY", "DYNAMIC_FIELD_LENGTH"}
 )
 _PADDING = frozenset({"RESERVED", "SPARE"})
 #: What ends a text of fixed length, as canboat's table of field types has it: "unknown", that of AIS, and C's.
@@ -83,10 +88,10 @@ _STRINGS = frozenset({"STRING_LAU", "STRING_LZ"})
 _OTHERS = frozenset({"LOOKUP", "BITLOOKUP", "FLOAT", "STRING_FIX", "BINARY", "DECIMAL"})
 _SHAPED = {
     "VARIABLE": "a field that another one says the kind of",
-    **dict.fromkeys(
-        ("DYNAMIC_FIELD_KEY", "DYNAMIC_FIELD_LENGTH", "DYNAMIC_FIELD_VALUE"), "fields that say their own kind"
-    ),
+    "DYNAMIC_FIELD_VALUE": "a value whose key or length is not before it",
 }
+#: Numbers that say what comes behind them.
+_KEY, _LENGTH = "DYNAMIC_FIELD_KEY", "DYNAMIC_FIELD_LENGTH"
 _UNITS = {"deg": "°", "Cos Phi": "", "VAR": "var", "semi-circle": "", "semi-circle/s": "1/s"}
 
 
@@ -206,6 +211,9 @@ class _Builder:
         self.named = 0
         self.names = _tables(table, "LookupEnumerations", "EnumValues", "Value")
         self.flags = _tables(table, "LookupBitEnumerations", "EnumBitValues", "Bit")
+        self.field_types = dict(field_types(table))
+        #: By PGN the fields of its forms, for functions about it.
+        self.parameters: dict[int, list[list[Parameter]]] = {}
         version = f", version {clean_text(str(table['Version']))[:40]}" if "Version" in table else ""
         self.protocol = Protocol(
             protocol_name(path), link="can", bitrate=BITRATE, doc=f"NMEA 2000{version}", source=path
@@ -234,9 +242,46 @@ class _Builder:
                 some.append(form)
             except _LeftOut as reason:
                 self._problem(line, f"PGN {label}: {reason}: left out")
+        for pgn, some in forms.items():
+            self.parameters[pgn] = [[self._parameter(field) for field in form.fields] for form in some]
         for some in forms.values():
             self._declare_all(some)
         return self.protocol
+
+    def _parameter(self, field: _Field) -> Parameter:
+        """Return a field as functions about its group have it: alone, in whole bytes."""
+        size = (field.size + 7) // 8
+        made: c.Construct | None = None
+        if field.is_bytes and size:
+            made = c.Bytes(size)
+        elif field.kind == "FLOAT":
+            made = c.Float32l
+        elif size and field.width is not None and field.kind not in _SHAPED:
+            made = self.number(field, _integer(size, is_signed=field.is_signed and not field.size % 8))
+        return one_line(field.name)[:60], size, made, field.match
+
+    def keyed(self, name: str) -> dict[str, tuple[int, int, c.Construct]]:
+        """Return what each key of a table has as its value, by name: key, size in bytes, construct."""
+        found: dict[str, tuple[int, int, c.Construct]] = {}
+        for entry in self.field_types.get(name, ()):
+            key, text = _whole(entry.get("value")), str(entry.get("Bits"))
+            width = int(text) if text.isascii() and text.isdigit() and len(text) < 4 else 0
+            kind = str(entry.get("FieldType"))
+            if key is None or key < 0 or width not in (8, 16, 24, 32, 64) or kind not in _NUMBERS | _OTHERS:
+                continue
+            is_signed = bool(entry.get("Signed")) and not entry.get("Offset")
+            top = (1 << width - is_signed) - 1
+            # The greatest numbers mean unknown, out of range and reserved (canboat: Sentinels TopOfRange).
+            words = (
+                ("UnknownValue", "OutOfRangeValue", "ReservedValue")
+                if kind in _NUMBERS - {"ISO_NAME"}
+                else ()
+            )
+            given = {**{word: top - n for n, word in enumerate(words)}, **entry}
+            field = _Field(camel(str(entry.get("name") or key)), "", kind, width, given, None)
+            construct = self.number(field, _integer(width // 8, is_signed=is_signed))
+            found[unused(field.name, set(found))] = key, width // 8, construct
+        return found
 
     def _form(self, given: Any, line: int) -> _Form:
         fields = given.get("Fields") if isinstance(given, dict) else None
@@ -265,15 +310,24 @@ class _Builder:
         declared: list[tuple[int, str]] = []
         for form in sorted(forms, key=lambda form: form.fixed):
             name, known = unused(form.id, self.taken), len(self.problems)
+            overrides = tuple(entry for fixed, entry in declared if fixed < form.fixed)
             try:
-                made = self._declare(
-                    form, name, tuple(entry for fixed, entry in declared if fixed < form.fixed)
-                )
+                made = self._declare(form, name, overrides)
             except (_LeftOut, AcesError) as reason:
                 del self.problems[known:]
                 said = re.sub(r" \([^()]*:\d+\)", "", without_place(reason)).partition("; say what")[0]
-                self._problem(form.line, f"PGN {one_line(form.id)[:60]}: {said}: left out")
-                continue
+                said = f"PGN {one_line(form.id)[:60]}: {said}"
+                cut = _cut(form)
+                try:
+                    if cut is None:
+                        raise _LeftOut("nothing of it can be said")
+                    made = self._declare(cut, name, overrides)
+                except (_LeftOut, AcesError):
+                    del self.problems[known:]
+                    self._problem(form.line, f"{said}: left out")
+                    continue
+                rest = one_line(form.fields[len(cut.fields)].name)[:60]
+                self._problem(form.line, f"{said}: bytes from {rest} on are in {TRAILING}", is_note=True)
             made.place = SourceLine(self.path, form.line or 1)
             declared.append((form.fixed, name))
             if name != form.id:
@@ -331,16 +385,60 @@ class _Shape:
 
     def __init__(self, builder: _Builder, form: _Form) -> None:
         self.builder, self.form = builder, form
+        self.places = {field: place for place, field in enumerate(form.fields)}
+        self.counts: dict[int, Any] = {}
         self.taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, "priority", "source", "destination"}
+        #: The list at the end whose items say their own kind.
+        self.own: c.Construct | None = None
         for field in form.fields:
-            if field.kind in _SHAPED:
-                raise _LeftOut(_SHAPED[field.kind])
             if "Condition" in field.given:
                 raise _LeftOut("a field that is there on a condition")
         self.groups = _groups(form)
-        self.places = {field: place for place, field in enumerate(form.fields)}
+        self._take_own()
+        form = self.form
+        for field in form.fields:
+            if field.kind in _SHAPED:
+                raise _LeftOut(_SHAPED[field.kind])
         #: By the place of a field that counts a list, how it is asked for.
-        self.counts: dict[int, Any] = {count: None for _, _, count in self.groups if count is not None}
+        self.counts = {count: None for _, _, count in self.groups if count is not None}
+
+    def _take_own(self) -> None:
+        """Take the fields at the end that say their own kind as a list, off the others."""
+        fields, builder = self.form.fields, self.builder
+        kinds = [field.kind for field in fields]
+        start = self.groups[-1][0] if self.groups else len(fields)
+        if kinds[start:] == ["FIELD_INDEX", "VARIABLE"] and len(self.groups) == 1:
+            self._cut_at(start, GroupParameters(builder.parameters))
+        if kinds[-1:] != ["DYNAMIC_FIELD_VALUE"] or len(self.groups) > 1:
+            return
+        if _KEY in kinds:
+            start = kinds.index(_KEY) if not self.groups else start
+            key, between = fields[start], fields[start + 1 : -1]
+            known = builder.keyed(str(key.given.get("LookupFieldTypeEnumeration")))
+            if key.kind != _KEY or not known:
+                raise _LeftOut("a list that no key begins")
+            if len(between) == 1 and between[0].kind == _LENGTH and not (key.size + between[0].size) % 8:
+                self._cut_at(start, KeyedItems(key.size, between[0].size, known))
+                return
+            data = {name: (number, value) for name, (number, _, value) in known.items()}
+            if between:
+                heads = self._struct(list(_cells(between)), set())
+                data = {
+                    name: (number, c.Struct(*heads, "value" / value))
+                    for name, (number, value) in data.items()
+                }
+            self._cut_at(start, Items(tag=_integer(key.size // 8, is_signed=False), kinds=data))
+        elif self.groups and kinds[start] == _LENGTH:
+            between = fields[start:-1]
+            size = sum(field.size for field in between[1:]) // 8
+            items = self._struct(list(_cells(between)), set())
+            record = c.Struct(*items, "value" / c.Bytes(c.this[items[0].name] - size))
+            self._cut_at(start, c.GreedyRange(record))
+
+    def _cut_at(self, start: int, own: c.Construct) -> None:
+        """Have these fields up to `start`, and a list behind them."""
+        self.own, self.groups = own, []
+        self.form = replace(self.form, fields=self.form.fields[:start])
 
     def made(self) -> tuple[c.Struct | None, dict[str, Any], c.Construct]:
         """Return the prefix, what it must be, and the payload behind it."""
@@ -401,13 +499,16 @@ class _Shape:
         has_room = (
             self.form.transport is not None or bool(self.groups) or self.form.head_size(cells) + size < 8
         )
-        is_fixed = not self.groups and all(field.width is not None for field in fields)
+        is_fixed = not self.groups and self.own is None and all(field.width is not None for field in fields)
         if fields and is_fixed and not any(map(_is_in_bytes, fields)):
             return self._layout(fields, TRAILING if has_room else "")
         made = self._struct(cells)
         for start, length, count in self.groups:
             made.append(self._list(self.form.fields[start : start + length], count))
         is_open = self.groups[-1][2] is None if self.groups else bool(fields) and _is_open_end(fields[-1])
+        if self.own is not None:
+            made.append(unused("list", self.taken) / self.own)
+            is_open = True
         if has_room and not is_open:
             made.append(TRAILING / c.Default(c.GreedyBytes, b"") * "bytes behind the known fields")
         return c.Struct(*made)
@@ -433,7 +534,13 @@ class _Shape:
             at += field.size
         return BitLayout(at // 8, *made, trailing=trailing)
 
-    def _struct(self, cells: Sequence[Sequence[_Field]]) -> list[c.Construct]:
+    def _struct(self, cells: Sequence[Sequence[_Field]], taken: set[str] | None = None) -> list[c.Construct]:
+        """Return fields one behind the other; `taken` are the names of a record of their own."""
+        if taken is not None:
+            outer, self.taken = self.taken, {*taken, *TAKEN_BY_RECORDS}
+            found = self._struct(cells)
+            self.taken = outer
+            return found
         made: list[c.Construct] = []
         for is_bits, some in groupby(cells, lambda cell: len(cell) > 1):
             fields = [field for cell in some for field in cell]
@@ -492,6 +599,28 @@ class _Shape:
             asked %= (1 << width) - 1  # all ones: not known, and no item
         name = unused("list", self.taken)
         return c.Renamed(c.GreedyRange(group) if count is None else c.Array(asked, group), newname=name)
+
+
+def _cut(form: _Form) -> _Form | None:
+    """Return a form up to the first field that cannot be said, where bytes may be behind it; None without one."""
+    stops = [
+        place
+        for place, field in enumerate(form.fields)
+        if "Condition" in field.given
+        or field.kind in _SHAPED
+        or (field.width is None and field.kind not in _STRINGS)
+    ]
+    stops += [
+        start - 1
+        for n in "12"
+        if (start := _whole(form.given.get(f"RepeatingFieldSet{n}StartField"))) is not None
+    ]
+    stop = min((place for place in stops if 0 < place < len(form.fields)), default=0)
+    fixed = max((n + 1 for n, field in enumerate(form.fields) if field.match is not None), default=0)
+    if form.transport is None or stop < max(1, fixed):
+        return None
+    given = {key: value for key, value in form.given.items() if not key.startswith("Repeating")}
+    return replace(form, fields=form.fields[:stop], given=given)
 
 
 def _is_in_bytes(field: _Field) -> bool:
