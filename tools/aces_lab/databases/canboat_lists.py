@@ -17,8 +17,10 @@ from typing import Any
 import construct as c
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol.declare.fields import is_raw
-from aces_bus.protocol.declare.items import UNKNOWN, ItemList
+from aces_bus.protocol import ItemList
+
+#: The reason of an item whose key or parameter is not known.
+UNKNOWN = "unknown"
 
 
 class KeyedItems(ItemList):
@@ -55,12 +57,12 @@ class KeyedItems(ItemList):
         name = self.names.get(key)
         if name is None:
             return c.Container(kind=key, data=inside, reason=UNKNOWN)
-        kind, (_, wanted, construct) = key if is_raw(context) else name, self.kinds[name]
+        _, wanted, construct = self.kinds[name]
         if len(inside) != wanted:
             reason = f"malformed: {len(inside)} bytes, and {name} has {wanted}"
-            return c.Container(kind=kind, data=inside, reason=reason)
+            return c.Container(kind=name, data=inside, reason=reason)
         value = construct._parsereport(io.BytesIO(inside), context, f"{path} -> {name}")
-        return c.Container(kind=kind, data=value, reason=None)
+        return c.Container(kind=name, data=value, reason=None)
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         for item in obj:
