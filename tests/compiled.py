@@ -43,6 +43,8 @@ MODULES = (
     "aces_bus/device/device.py",
     "aces_bus/device/gathering.py",
     "aces_bus/device/declared.py",
+    "aces_bus/controller/limiter.py",
+    "aces_bus/controller/line.py",
     "aces_bus/controller/door.py",
     "aces_bus/controller/guard.py",
     "devices/aces_devices/hubo_motor/channel.py",

@@ -11,7 +11,8 @@ from .base import Controller
 from .equation import Equations
 from .events import ControlEvent
 from .function import controller
-from .guard import Bounds, Guard, bounds_of
+from .guard import Guard
+from .limiter import Bounds, bounds_of
 from .machine import Phase, StateMachine, Transition
 from .motion import Trajectory
 from .motion_file import read_trajectory

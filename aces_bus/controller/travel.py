@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from typing import Protocol as Interface
 
 from ..device.reading import UNKNOWN
-from .guard import PUSHES, Bounds
+from .limiter import PUSHES, Bounds
 
 if TYPE_CHECKING:
     from ..device.config import Robot

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import TypeVar
 
-from ..controller.door import Door, following_of
-from ..controller.guard import bounds_of
+from ..controller.door import Door
+from ..controller.following import following_of
+from ..controller.limiter import bounds_of
 from ..controller.travel import travel_of
 from ..device.coalesce import CoalescingRule
 from ..device.config import DeviceConfig, Joint, Robot, Sensor, priority_of

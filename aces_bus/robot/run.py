@@ -71,7 +71,7 @@ class Run:
         self.events: deque[Any] = deque(maxlen=1024)
         self.handlers: list[Callable[[Any], None]] = []
         self.set_points = 0
-        #: The last set-points, by state.
+        #: The last set-points of controllers, by state; what left of them the door knows.
         self.given: dict[str, float] = {}
         self._setters: dict[str, Callable[[float], None]] = {}
 

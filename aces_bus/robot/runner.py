@@ -2,7 +2,7 @@
 
 1. What runs is the same in every world (real buses, virtual time, a replay): only the clock and the tasks differ.
 2. A controller's thread computes and nothing else. Guards, reactions and stops are on the thread of the buses.
-3. Each controller has a guard and a supervisor: limits of the robot's file, a dead-man, reactions to events.
+3. Each controller has a guard and a supervisor: a dead-man, trips, reactions to events. The door limits what it gives.
 4. No wait here is without an end.
 
 Controllers are stepped with the instants that their cycles were due: they and their guards see even steps, however late
@@ -18,7 +18,7 @@ from typing import Any, Literal
 from ..controller import IGNORE, Guard, Supervisor, bounds_of
 from ..controller.base import ControllerLike
 from ..controller.events import EventLike, Listeners
-from ..controller.guard import Bounds
+from ..controller.limiter import Bounds
 from ..controller.reactions import Reaction, parse_reactions
 from ..controller.trip import Action
 from ..device import Device
@@ -51,7 +51,7 @@ class Runner:
     find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how: "park" ends the run as `at_end`
     does, "hold" ends after `hold_s` (None: with `release`, or the run), then what was held is switched off. At the end
     `at_end` "hold" leaves what runs as it is, "park" leads it to the file's pose before it is switched off. `guard` False
-    leaves its limits and dead-man away (the door's stay). `drives` False: set-points are counted and not sent (a replay).
+    leaves the dead-man away (the door's limits stay). `drives` False: set-points are counted and not sent (a replay).
     `states` declares states (name → keywords of `State`), see `States`. Rates and priorities of the robot's file replace the
     controllers' own. `unhomed`: joints that are not homed are driven, too.
     """
@@ -110,6 +110,7 @@ class Runner:
             self._timed(component)
         for controller in controllers:
             supervisor = self._supervised(controller, {**declared, **(reactions or {})}, guard, on_trip)
+            supervisor.guard.is_dry = not drives
             self.supervisors.append(supervisor)
             self._add_task(controller, self._stepper(supervisor), CONTROL)
         parks = at_end == "park" or any(map(_may_park, self.supervisors))

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from aces_bus import load_robot
 from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
-from aces_bus.controller.guard import (
+from aces_bus.controller.limiter import (
     NOT_FINITE_TRIPS,
     USUAL_SPEED,
     _reach,  # pyright: ignore[reportPrivateUsage]  # its far end is out of any guard's reach

@@ -43,6 +43,8 @@ AREAS: dict[str, tuple[str, ...]] = {
     "stops": (
         "aces_bus/controller/door.py",
         "aces_bus/controller/guard.py",
+        "aces_bus/controller/limiter.py",
+        "aces_bus/controller/line.py",
         "aces_bus/controller/supervisor.py",
         "aces_bus/device/stopping.py",
         "aces_bus/robot/run.py",

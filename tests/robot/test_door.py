@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
-from tests.robot.leg import COUNTS, MS, RATE, WRITERS, Leg, check_sent
+from aces_bus.controller import Bounds, Guard, Supervisor
+from aces_bus.robot import Runner, parse_robot, run_virtual
+from tests.robot.leg import COUNTS, MS, RATE, ROBOT, TICK_S, WRITERS, Leg, Wish, check_sent
 
 # ---------------------------------------------------------------------- each writer against each rule
 
@@ -109,3 +112,88 @@ RULES = (within_limits, within_the_rate, finite, one_owner, follows)
 def test_a_writer_and_a_rule(writer: str, rule: Callable[[str], None]) -> None:
     """Every writer is held to every rule."""
     rule(writer)
+
+
+# ---------------------------------------------------------------------- what an owner asks of the limiter
+
+
+def owned(bounds: Bounds, wish: Wish) -> Runner:
+    """The leg with a controller whose guard has bounds of its own for the hip, enabled and running."""
+    robot, problems = parse_robot(ROBOT)
+    assert robot is not None, problems
+    guard = Guard({"HIP": bounds}, period_s=0.005, dead_man_s=None, name=wish.name)
+    run = run_virtual(robot, [Supervisor(wish, guard)])
+    run.open()
+    run.do("enable")
+    run.start()
+    return run
+
+
+def left(run: Runner, seconds: float) -> list[float]:
+    """What left the door for the hip, tick by tick."""
+    found: list[float] = []
+    signal = run.rig["HIP"]
+    signal.given.append(lambda value, instant: found.append(value))
+    run.clock.wait(lambda: False, round(seconds * 1e9))
+    signal.given.clear()
+    return found
+
+
+def test_a_controllers_own_bounds_are_kept_in_the_ticks_of_the_bus() -> None:
+    """Narrower limits, rate and acceleration of a guard hold at the door; the file's hold where a guard's are wider."""
+    wish = Wish("walk", writes=("HIP",))
+    run = owned(Bounds(-9.0, 0.5, rate=1.0, acceleration=5.0), wish)
+    wish.wishes["HIP"] = 2.0
+    sent = np.array(left(run, 1.5))
+    assert run.rig.door.limits("HIP") == Bounds(-1.0, 0.5, 1.0, 5.0)
+    assert sent.max() == sent[-1] == 0.5
+    speeds = np.diff(sent) / TICK_S
+    assert speeds.max() == pytest.approx(1.0, abs=1e-6)
+    assert np.abs(np.diff(speeds)).max() <= 5.0 * TICK_S + 1e-6
+    guard = run.supervisors[0].guard
+    assert guard.clips["HIP"].position > 100
+    assert {event.kind for event in run.events} >= {"clipped"}
+    assert not {event.kind for event in run.events} & {"limited"}
+    run.stop()
+
+
+def test_a_hold_comes_to_a_stand_within_the_acceleration() -> None:
+    """A hold at full speed brakes as the guard's bounds say, does not turn back, and stays."""
+    wish = Wish("walk", writes=("HIP",))
+    run = owned(Bounds(rate=1.0, acceleration=5.0), wish)
+    wish.wishes["HIP"] = 0.9
+    before = left(run, 0.4)
+    run.supervisors[0].guard.trip("enough", "hold")
+    sent = np.array([*before[-2:], *left(run, 1.0)])
+    speeds = np.diff(sent) / TICK_S
+    assert speeds[0] == pytest.approx(1.0, abs=1e-6)
+    assert np.abs(np.diff(speeds)).max() <= 5.0 * TICK_S + 1e-6
+    assert speeds.min() >= -1e-9
+    assert sent[-1] == sent[-50] < 0.5
+    run.stop()
+
+
+def test_a_hold_stops_a_joint_that_is_on_its_way() -> None:
+    """Without a limit of acceleration it stays where it was sent last, however far away its goal is."""
+    wish = Wish("walk", writes=("HIP",))
+    run = owned(Bounds(rate=1.0), wish)
+    wish.wishes["HIP"] = 0.9
+    before = left(run, 0.3)[-1]
+    run.supervisors[0].guard.trip("enough", "hold")
+    after = left(run, 0.2)
+    assert 0.1 < before <= after[0] <= before + 2 * TICK_S
+    assert set(after[2:]) == {after[-1]}
+    assert len(after) >= 35  # live, in each tick
+    run.release("walk")
+    assert left(run, 1.0)[-1] == 0.9
+    run.stop()
+
+
+def test_bounds_that_no_set_point_can_keep_are_refused() -> None:
+    """A guard whose limits lie outside of the file's is an error of its controller, with the limits' own words."""
+    wish = Wish("walk", writes=("HIP",))
+    run = owned(Bounds(2.0, 3.0), wish)
+    wish.wishes["HIP"] = 2.5
+    assert left(run, 0.1) == []
+    assert "lower must not be above upper" in run.held["walk"]
+    run.stop()

@@ -235,7 +235,7 @@ def jump(seconds: float) -> Callable[[Runner], None]:
 def largest_step(look: Look) -> float:
     """The largest change of a set-point from one cycle to the next (rad)."""
     rows = [given for _, _, given in look.rows if given]
-    return max(abs(b[name] - a[name]) for a, b in pairwise(rows) for name in a)
+    return max(abs(b[name] - a[name]) for a, b in pairwise(rows) for name in a if name in b)
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.37, 2.0, 10.0])

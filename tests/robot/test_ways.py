@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aces_bus import load_robot
-from aces_bus.controller.door import Following, following_of
+from aces_bus.controller.following import Following, following_of
 from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual

@@ -62,7 +62,7 @@ class Walk(Controller):
 
 
 class Look:
-    """Looks at the set-points that went down, after each control cycle."""
+    """Looks at the set-points that left by the door, after each control cycle."""
 
     name, rate_hz, states = "look", 100.0, ()
 
@@ -75,7 +75,9 @@ class Look:
     def start(self, now: int) -> None: ...
 
     def step(self, now: int) -> None:
-        self.rows.append((now, self.run.set_points, dict(self.run.given)))
+        left = {name: self.run.rig.door.given(name) for name in self.run.given}
+        given = {name: value for name, value in left.items() if value is not None}
+        self.rows.append((now, self.run.set_points, given))
 
     def stop(self, now: int) -> None: ...
 

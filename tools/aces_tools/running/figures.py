@@ -267,13 +267,14 @@ class Watch:
 
     def _states(self, now: int) -> list[StateLine]:
         runner = self.runner
-        given = runner.given
+        given, door = runner.given, runner.rig.door
         lines: list[StateLine] = []
         for name in runner.used:
             signal = runner.states[name]
             value, age = signal.last, signal.age_ns
             fresh = age is not None and not signal.is_stale
-            lines.append(StateLine(name, signal.unit or "", value, age, fresh, given.get(name)))
+            left = door.given(name) if runner.drives and name in given else given.get(name)
+            lines.append(StateLine(name, signal.unit or "", value, age, fresh, left))
         return lines
 
 
