@@ -22,7 +22,8 @@ class Driver:
     `example` is a small robot file (TOML) with devices of this driver in each of their models and dialects; the
     conformance tests run on it. `scan` finds such devices on a bus: a generator function `scan(host, job)` as in `Job`, that
     asks through `host.probe(…)` and returns a list of `DeviceConfig`; None: they cannot be found. `virtual` False: it runs
-    on real time only, with buses of its own. `settings` describes the keys of `settings` in robot files.
+    on real time only, with buses of its own. `settings` describes the keys of `settings` in robot files. `speaks` is the
+    protocol, or its name, where one class of device has several; else the class says it.
     """
 
     name: str
@@ -34,17 +35,23 @@ class Driver:
     scan: Callable[[Host, Job], Steps] | None = None
     virtual: bool = True
     settings: Mapping[str, str] | None = None
+    speaks: str | Protocol | None = None
 
     def __post_init__(self) -> None:
-        if not hasattr(self.device, "protocol"):
+        if self.speaks is None and not hasattr(self.device, "protocol"):
             raise SpecError(
                 f"driver {self.name!r}: {self.device.__name__} does not say what it speaks: protocol = …"
             )
 
     @property
+    def spoken(self) -> str | Protocol:
+        """The protocol that its devices speak, or the name of an installed one."""
+        return self.device.protocol if self.speaks is None else self.speaks
+
+    @property
     def protocol(self) -> str:
         """The name of the protocol that its devices speak."""
-        own = self.device.protocol
+        own = self.spoken
         return own if isinstance(own, str) else own.name
 
 
@@ -73,7 +80,7 @@ def use_driver_file(path: str) -> list[Driver]:
     if not found and not any(isinstance(item, Protocol) for item in items.values()):
         raise CallerError(f"{path}: declares no driver at its top level: NAME = Driver(…)")
     for name, driver in found.items():
-        own = driver.device.protocol
+        own = driver.spoken
         if not isinstance(own, str):
             PROTOCOLS.add(own.name, own, f"{path}:{own.name}")
         DRIVERS.add(driver.name, driver, f"{path}:{name}")

@@ -413,7 +413,7 @@ def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
         raise CallerError(
             f"robot {robot.name}: {config.name} speaks {name}, its driver {driver.name} speaks {driver.protocol}"
         )
-    own = driver.device.protocol
+    own = driver.spoken
     protocol = load_protocol(own) if isinstance(own, str) else own
     bus = robot.buses[config.bus]
     if protocol.link != bus.link:

@@ -12,7 +12,7 @@ from typing import Any
 
 import construct as c
 
-from ..errors import FieldError, SpecError
+from ..errors import AcesError, FieldError
 from ..frames import EXTENDED, Frame
 from ..protocol.declare.framing import BitSize
 from ..protocol.declare.head import Head
@@ -26,7 +26,7 @@ from .source import ChoiceSource, edge_number, spread
 ATTEMPTS = 60
 
 
-class UndrawableError(SpecError, AssertionError):
+class UndrawableError(AcesError, AssertionError):
     """No valid packet of a message was found: its spec contradicts itself, or its strategy must be given."""
 
 

@@ -27,7 +27,7 @@ from .fields import Enumeration, Field, Flags, Multiplexed, Present, Quantity, S
 from .head import enumeration_of
 from .items import Items
 from .place import SourceLine
-from .vocabulary import TRANSFORMS, refusal_of
+from .vocabulary import TRANSFORMS, construct_name, refusal_of
 
 # ---------------------------------------------------------------------- what a payload chooses by
 #
@@ -299,12 +299,12 @@ class _Walk:
                     check_name(name, con.place)
                 return con.changed(lambda name, data: self.of(data, f"{path}.{name}", known))
             case c.Prefixed():
-                return Prefixed(con.lengthfield, self.of(con.subcon, path, known), con.includelength)
+                return WholePrefixed(con.lengthfield, self.of(con.subcon, path, known), con.includelength)
             case c.FixedSized():
                 self.may_strip = _strips(con.subcon)
-                return FixedSized(equal_in_both(con.length, known), self.of(con.subcon, path, known))
+                return WholeSized(equal_in_both(con.length, known), self.of(con.subcon, path, known))
             case c.NullTerminated():
-                return NullTerminated(self.of(con.subcon, path, known), con.term)
+                return WholeTerminated(self.of(con.subcon, path, known), con.term)
             case c.NullStripped():
                 if self.may_strip:
                     self.may_strip = False
@@ -478,7 +478,7 @@ class _Moving(c.Subconstruct):
         return value
 
 
-class Prefixed(c.Prefixed):
+class WholePrefixed(c.Prefixed):
     """construct's own, whose content takes all of its bytes; what it would leave over were lost."""
 
     def _parse(self, stream: Any, context: Any, path: str) -> Any:
@@ -492,7 +492,7 @@ class Prefixed(c.Prefixed):
         return value
 
 
-class FixedSized(c.FixedSized):
+class WholeSized(c.FixedSized):
     """construct's own, whose content has all of its bytes; only what strips zeros may have fewer."""
 
     def _parse(self, stream: Any, context: Any, path: str) -> Any:
@@ -514,7 +514,7 @@ class FixedSized(c.FixedSized):
         return built
 
 
-class NullTerminated(c.NullTerminated):
+class WholeTerminated(c.NullTerminated):
     """construct's own, whose content takes all of its bytes and has no end inside."""
 
     def __init__(self, subcon: c.Construct, term: bytes) -> None:
@@ -627,7 +627,7 @@ def _check_selector(field: c.Construct, name: str, place: SourceLine) -> None:
             isinstance(field, Quantity) and (field.scale != 1 or field.offset or field.unknown or field.names)
         ):
             raise SpecError(
-                f"{place.of_field(name)}: selector {name!r} is a {type(field).__name__}; a field of a Struct is"
+                f"{place.of_field(name)}: selector {name!r} is a {construct_name(field)}; a field of a Struct is"
                 " multiplexed by a plain number, an Enumeration or Flags"
             )
         field = field.subcon

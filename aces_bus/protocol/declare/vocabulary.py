@@ -131,6 +131,11 @@ def construct_class(con: c.Construct) -> type | None:
     return next(k for k in kind.__mro__ if k in LEAVES or k in WALKED or k in REFUSED)
 
 
+def construct_name(con: Any) -> str:
+    """Return construct's own name of a field's class, for texts."""
+    return type(con).__name__.removeprefix("Whole")
+
+
 def refusal_of(con: c.Construct) -> str:
     """Say why a payload cannot have this construct, its content aside; empty when it can."""
     kind = construct_class(con)

@@ -236,6 +236,8 @@ def run_order(scalar: p.Scalar) -> str:
 
 
 TRANSPORT = "time, channel, key, raw, rx"
+#: The arguments of a decode function.
+ARGUMENTS = "data, key, time, channel, raw, rx"
 #: What decoders call, given to every module of them.
 CALLED = ("Struct", "from_bytes", "re", "degrees", "flags")
 #: The arguments of a decode function, and what its expressions use in passing.
@@ -250,9 +252,10 @@ class Decoder(FunctionSetup):
     record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`,
     which raises `struct.error`. `names` are the module's (with `CALLED` among them): what is `bound` in them must be
     given to the text, and the types in `types`.
-    """
 
-    arguments = "data, key, time, channel, raw, rx"
+    With `result` it is the function of an item's data or of a group, which takes its bytes alone: `result` makes the text
+    of what it gives, from that of the value.
+    """
 
     def __init__(
         self,
@@ -262,8 +265,9 @@ class Decoder(FunctionSetup):
         guard: bool = True,
         names: NameScope | None = None,
         whole: Sequence[str] | None = None,
+        result: Callable[[str], str] | None = None,
     ) -> None:
-        self.plan = plan
+        self.plan, self.result = plan, result
         #: The fields of the record; those that the plan does not have are None.
         self.whole = whole if whole is not None else [field.name for field in plan.fields]
         self.raw = raw
@@ -286,7 +290,8 @@ class Decoder(FunctionSetup):
         """Return (module-level lines, function lines)."""
         plan, out = self.plan, self.body
         needs = not plan.is_flat or plan.needs_request
-        out.line(f"def {self.function}({self.arguments}{', request=None' if needs else ''}):")
+        arguments = ARGUMENTS if self.result is None else "data"
+        out.line(f"def {self.function}({arguments}{', request=None' if needs else ''}):")
         out.depth = 1
         out.line(f'"""{comment_line(plan.doc) or plan.name} ({comment_line(plan.place)})"""')
         if not plan.is_flat:
@@ -322,8 +327,11 @@ class Decoder(FunctionSetup):
         return self.setup, out.printed
 
     def _returned(self) -> None:
-        """Print the return of the record."""
+        """Print the return of the record, or of what is made of the only value."""
         plan, out = self.plan, self.body
+        if self.result is not None:
+            out.line(f"return {self.result(self._value(plan.fields[0]))}")
+            return
         made = self._type(plan.name)
         values = {field.name: self._value(field) for field in plan.fields}
         arguments = [values.get(name, "None") for name in self.whole]
@@ -649,25 +657,6 @@ class Decoder(FunctionSetup):
         return f"({value})" if " if " in value or " or " in value else value
 
 
-class _DataDecoder(Decoder):
-    """Prints the decode function of an item's data or of a group, which takes its bytes alone.
-
-    `result` makes the text of what it gives, from that of the value; None is given for bytes that do not fit.
-    """
-
-    arguments = "data"
-
-    def __init__(
-        self, plan: p.MessagePlan, *, raw: bool, names: NameScope, result: Callable[[str], str] = str
-    ) -> None:
-        super().__init__(plan, raw=raw, names=names)
-        self.result = result
-
-    def _returned(self) -> None:
-        (field,) = self.plan.fields
-        self.body.line(f"return {self.result(self._value(field))}")
-
-
 class ListDecoder(FunctionSetup):
     """Prints the function that reads a list of items, and those of what is in it, into `setup`.
 
@@ -688,7 +677,7 @@ class ListDecoder(FunctionSetup):
         return self._items(node) if isinstance(node, p.TaggedItems) else self._groups(node)
 
     def _data(self, plan: p.MessagePlan, result: Callable[[str], str] = str) -> str:
-        printed = _DataDecoder(plan, raw=self.raw, names=self.names, result=result)
+        printed = Decoder(plan, raw=self.raw, names=self.names, result=result)
         setup, lines = printed.print()
         self.setup += [*setup, "", *lines, ""]
         self.types |= printed.types

@@ -22,7 +22,7 @@ from ..declare.protocol import Variant
 from ..declare.shapes import PayloadShape, Shapes, has_shapes
 from ..plan import nodes as p
 from ..record import Part, Record, from_container, plain_value
-from .decode import CALLED, Decoder, ListDecoder
+from .decode import ARGUMENTS, CALLED, Decoder, ListDecoder
 from .source import NameScope, SourceText, comment_line
 from .source import load_source as load_source
 
@@ -231,7 +231,7 @@ def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
     from .shapes import by_shape
 
     label = f"aces {variant.label} {'raw ' if raw else ''}decoders: {message.name}"
-    arguments = Decoder.arguments + (", request=None" if message.request_fields else "")
+    arguments = ARGUMENTS + (", request=None" if message.request_fields else "")
     found: Decode = by_shape(
         Shapes(message),
         arguments,

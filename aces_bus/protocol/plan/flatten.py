@@ -34,6 +34,7 @@ from ..declare.message import Message
 from ..declare.normalise import inner_constructs, sizes
 from ..declare.pattern import IdField, IdPattern
 from ..declare.shapes import Shapes, has_shapes
+from ..declare.vocabulary import construct_name
 from . import nodes as p
 
 # ---------------------------------------------------------------------- one value: its bits and steps
@@ -121,7 +122,7 @@ def scalar_of(con: c.Construct, offset: int) -> p.Scalar:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:
         return p.Scalar("bytes", offset, None)
-    raise NotFlat(f"{type(inner).__name__} has no flat form")
+    raise NotFlat(f"{construct_name(inner)} has no flat form")
 
 
 # ---------------------------------------------------------------------- messages

@@ -18,22 +18,24 @@ _ROW = 16
 _CHARACTERS = bytes(code if 0x20 <= code < 0x7F else ord(".") for code in range(256))
 
 
+def _bytes_alone(writer: RecordingWriter, chunk: Chunk) -> bytes:
+    """Return the bytes of a chunk; what else it says is counted as lost."""
+    writer.lose("times of chunks", chunk.time is not None)
+    writer.lose("directions of chunks", chunk.direction is not None)
+    return chunk.data
+
+
 class RawWriter(RecordingWriter):
     """The bytes and nothing else."""
 
     format = "raw"
 
     def write(self, chunk: Chunk) -> None:
-        """Write the bytes of a chunk, or what is full of them."""
-        self.lose("times of chunks", chunk.time is not None)
-        self.lose("directions of chunks", chunk.direction is not None)
-        self._file.write(self._encoded(chunk.data))
-
-    def _encoded(self, data: bytes) -> bytes:
-        return data
+        """Write the bytes of a chunk."""
+        self._file.write(_bytes_alone(self, chunk))
 
 
-class DxconfWriter(RawWriter):
+class DxconfWriter(RecordingWriter):
     """Rows of sixteen bytes with their characters."""
 
     format = "dxconf"
@@ -43,11 +45,12 @@ class DxconfWriter(RawWriter):
         self._kept = b""
         file.write(b'Port opened by process "aces"\n\n')
 
-    def _encoded(self, data: bytes) -> bytes:
-        data = self._kept + data
+    def write(self, chunk: Chunk) -> None:
+        """Write the rows that are full."""
+        data = self._kept + _bytes_alone(self, chunk)
         full = len(data) - len(data) % _ROW
         self._kept = data[full:]
-        return b"".join(_row(data[start : start + _ROW]) for start in range(0, full, _ROW))
+        self._file.write(b"".join(_row(data[start : start + _ROW]) for start in range(0, full, _ROW)))
 
     def close(self) -> None:
         """Write the last row, and the end."""

@@ -26,7 +26,7 @@ from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ON
 
 from ..mit_motor import MitMotor, Ranges
 from ..scanning import Scan, scan_numbers
-from .twin import DamiaoFdTwin, DamiaoTwin
+from .twin import DamiaoTwin
 
 #: Units of register 9 (s).
 TIMEOUT_UNIT_S = 50e-6
@@ -321,12 +321,6 @@ class Damiao(MitMotor):
         return self.job("store", steps)
 
 
-class DamiaoFd(Damiao):
-    """The same on CAN FD."""
-
-    protocol = "damiao_fd"
-
-
 def _scan(name: str) -> Scan:
     """Ask numbers 1 to 15 for a feedback."""
     return scan_numbers(
@@ -377,8 +371,9 @@ driver = Driver(
 
 fd_driver = Driver(
     "damiao_fd",
-    device=DamiaoFd,
-    twin=DamiaoFdTwin,
+    device=Damiao,
+    twin=DamiaoTwin,
+    speaks="damiao_fd",
     example=FD_EXAMPLE,
     doc="Damiao DM motor on CAN FD, as an OpenArm has them: a joint as `damiao` has it.",
     source="openarm_can; python-damiao-driver; DM_CAN.py; motorcontrol",

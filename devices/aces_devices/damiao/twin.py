@@ -246,9 +246,3 @@ class DamiaoTwin(Twin):
         """Keep the registers; while it is off."""
         if self.status != "enabled":
             self.stored = dict(self.registers)
-
-
-class DamiaoFdTwin(DamiaoTwin):
-    """The same on CAN FD."""
-
-    protocol = "damiao_fd"

@@ -144,9 +144,13 @@ class Vesc(Device):
         self._signals(joint.name if joint else self.name, angle, 5 * FAULT_S if sends_status else None)
 
     def _connected(self) -> VescUartSettings:
-        """Have a wire, and the settings that go with it."""
+        """Have a wire, and the settings that go with it; a serial line has one controller and no status messages."""
+        self.wire: CanWire | SerialWire
+        if self.host.port.link == "serial":
+            self.wire = SerialWire()
+            return settings_of(self.name, VescUartSettings, self.config.settings)
         settings = settings_of(self.name, VescSettings, self.config.settings)
-        self.wire: CanWire | SerialWire = CanWire(self.name, self.credentials, settings.host)
+        self.wire = CanWire(self.name, self.credentials, settings.host)
         return settings
 
     def _poll(self, mask: int, every_s: float | None) -> Poll:
@@ -371,16 +375,6 @@ class Vesc(Device):
         return self.job("firmware", steps)
 
 
-class VescUart(Vesc):
-    """The same at a serial line, which has one controller and no status messages."""
-
-    protocol = "vesc_uart"
-
-    def _connected(self) -> VescUartSettings:
-        self.wire = SerialWire()
-        return settings_of(self.name, VescUartSettings, self.config.settings)
-
-
 #: How long each number is given to answer (s): a controller answers within 10 ms (comm/comm_can.c).
 PATIENCE_S = 0.02
 #: Who asks while controllers are looked for, where no controller is yet known to have that number.
@@ -455,8 +449,9 @@ CAMERA = { device = "MAST", lower = -1.5, upper = 1.5, zero = 0.3, direction = -
 
 uart_driver = Driver(
     "vesc_uart",
-    device=VescUart,
+    device=Vesc,
     twin=VescUartTwin,
+    speaks="vesc_uart",
     example=UART_EXAMPLE,
     doc="VESC motor controller at a serial line: a motor by duty, current, speed or position.",
     source="vedderb/bldc comm/packet.c, comm/commands.c, timeout.c",

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("z3")
 
 from aces_lab.prove import witness as w
-from aces_lab.prove.decoding import Failed, proof_lengths, prove_decoder
+from aces_lab.prove.decoding import FailedClaim, proof_lengths, prove_decoder
 from aces_lab.prove.symbols import PathSearch
 
 from .plant import Planted, of_plan, of_text, planted
@@ -33,7 +33,7 @@ def refused(fault: Planted) -> str:
     sizes, _ = proof_lengths(fault.message)
     try:
         prove_decoder(fault.message, fault.function, PathSearch(60), sizes, raw=fault.raw, quick=False)
-    except Failed as failed:
+    except FailedClaim as failed:
         found = failed.witness
     else:
         raise AssertionError(f"{fault.where}: {fault.fault}: proved")

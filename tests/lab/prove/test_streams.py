@@ -10,7 +10,7 @@ pytest.importorskip("z3")
 
 from aces_bus import load_protocol
 from aces_bus.testing.laws import Way
-from aces_lab.prove.decoding import Failed
+from aces_lab.prove.decoding import FailedClaim
 from aces_lab.prove.streams import StreamJob, check_seek, prove_scan, shown_by
 from aces_lab.prove.symbols import PathSearch
 
@@ -22,7 +22,7 @@ from .plant import SCANNERS, faulty_scanner
 def test_a_fault_in_a_printed_scanner_is_refused(name: str, way: Way, right: str, wrong: str) -> None:
     """With bytes on which the faulty scanner, run as it is, differs from the reference."""
     scanner = faulty_scanner(name, way, right, wrong)
-    with pytest.raises(Failed) as failed:
+    with pytest.raises(FailedClaim) as failed:
         prove_scan(scanner, PathSearch(60))
     assert shown_by(scanner, failed.value.witness.data), failed.value.witness
 

@@ -37,7 +37,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -220,7 +220,8 @@ def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> int:
 
 
 def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: bool) -> None:
-    page = _Summary(arguments.color)
+    summary = _Summary(arguments.color)
+    page = summary.page
     title = ", ".join(map(_title, arguments.files))
     files = " ".join("-" if file == "-" else shlex.quote(file) for file in arguments.files)
     packets = "" if guess.known else f", {guess.decoded:,} in packets"
@@ -237,19 +238,19 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: boo
         _show_reference(guess.reference, page)
     for number, framing in enumerate(guess.framings):
         head = f"framing {number}: {counted(framing.packets, 'packet')}, {framing.share:.1%} of the bytes"
-        page.section(page.paint("message", f"{head} ({framing.confidence:.2f})"))
+        summary.section(page.paint("message", f"{head} ({framing.confidence:.2f})"))
         page.lines(f"  {printable(line)}" for line in framing.evidence)
         for packet in guess.packets:
             if packet.framing != number:
                 continue
             code = "" if packet.opcode is None else f" {_code(packet.opcode, framing.kind == 'lines')}"
             sizes = packet.sizes
-            page.section(page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}"))
+            summary.section(page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}"))
             if packet.fields:
                 page.table(
                     ("field", "bits", "kind", "sure", "evidence"), [_cells(field) for field in packet.fields]
                 )
-    page.close(
+    summary.close(
         f"a draft to edit: aces spec guess {printable(files)} -o draft.py"
         if guess.framings and not arguments.output
         else ""
@@ -259,16 +260,15 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace, written: boo
         say_note(f"{arguments.output}: written; next: aces decode {files} -p {quoted}")
 
 
-class _Summary(Page):
+class _Summary:
     """A page of `LINES` lines at most: details are left out where there is no room, then the last sections."""
 
     def __init__(self, colour: bool | None) -> None:
-        super().__init__(colour)
         #: The first line of each section and its details; the first section has no such line.
         self._sections: list[tuple[str, list[str]]] = [("", [])]
-
-    def lines(self, lines: Iterable[str]) -> None:
-        self._sections[-1][1].extend(lines)
+        self._out = Page(colour)
+        #: What sections are written with.
+        self.page = Page(colour, lambda lines: self._sections[-1][1].extend(lines))
 
     def section(self, head: str) -> None:
         """Begin a section: further lines are its details."""
@@ -279,7 +279,7 @@ class _Summary(Page):
         (_, first), *sections = self._sections
         whole = [*first, *(line for head, details in sections for line in ("", head, *details))]
         if len(whole) + 2 <= LINES:
-            super().lines([*whole, *(["", last] if last else [])])
+            self._out.lines([*whole, *(["", last] if last else [])])
             return
         room = LINES - min(len(first), LINES // 2) - 2
         shown = first[: LINES // 2]
@@ -290,7 +290,7 @@ class _Summary(Page):
                 shown += details
                 spare -= len(details)
         left = f"; {len(sections) - room} more" if len(sections) > room else ""
-        super().lines(
+        self._out.lines(
             [*shown, f"fields and evidence: in the draft (-o draft.py){left}", *([last] if last else [])]
         )
 
@@ -307,7 +307,8 @@ def _code(opcode: bytes, is_text: bool) -> str:
 
 
 def _show(guess: TrafficGuess, arguments: argparse.Namespace, written: bool) -> None:
-    page = _Summary(arguments.color)
+    summary = _Summary(arguments.color)
+    page = summary.page
     title = ", ".join(map(_title, arguments.files))
     found = f"{counted(guess.frames, 'frame')}, {counted(len(guess.messages), 'message')} guessed"
     page.lines([printable(f"{title}: {found}")])
@@ -330,10 +331,10 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace, written: bool) -> 
     for protocol in guess.protocols:
         page.beside(protocol.name, [f"{protocol.evidence} ({protocol.confidence:.2f})"], "message")
     for message in guess.messages:
-        page.section(page.paint("message", printable(_headline(message))))
+        summary.section(page.paint("message", printable(_headline(message))))
         page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(field) for field in message.fields])
     if guess.pairs:
-        page.section(counted(len(guess.pairs), "request") + " with replies")
+        summary.section(counted(len(guess.pairs), "request") + " with replies")
         page.table(
             ("request", "reply", "sure", "evidence"),
             [
@@ -341,7 +342,7 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace, written: bool) -> 
                 for pair in guess.pairs[:LISTED]
             ],
         )
-    page.close(
+    summary.close(
         f"a draft to edit: aces spec guess {printable(files)} -o draft.py"
         if guess.messages and not arguments.output
         else ""

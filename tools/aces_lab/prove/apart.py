@@ -19,7 +19,7 @@ from aces_bus.protocol.live.can import CanDecider
 
 from .account import Outcome
 from .decoding import SymbolicPacket, Witness, base_of, drawn, proof_lengths
-from .symbols import NotProvable, PathSearch, SymbolicInt
+from .symbols import NoAnswer, NotProvable, PathSearch, SymbolicInt
 from .witness import by_reference, image_of
 
 #: Identifiers of a message that are all looked up.
@@ -59,7 +59,7 @@ class _Formulas:
         if message.name not in self._made:
             try:
                 self._made[message.name] = Accepted(message, self._numbers[message.name], self.seconds)
-            except NotProvable as reason:
+            except (NoAnswer, NotProvable) as reason:
                 self._made[message.name] = str(reason)
         return self._made[message.name]
 

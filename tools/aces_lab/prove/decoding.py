@@ -27,6 +27,7 @@ from aces_bus.testing.laws import Way
 from .meaning import Captures, holds, meaning
 from .stand_ins import StandIns
 from .symbols import (
+    NoAnswer,
     NotProvable,
     PathSearch,
     Refuted,
@@ -55,7 +56,7 @@ class Witness(NamedTuple):
     way: Way = None
 
 
-class Failed(Exception):
+class FailedClaim(Exception):
     """A claim failed; the argument is its `Witness`."""
 
     @property
@@ -206,7 +207,7 @@ def prove_decoder(
     raw: bool,
     quick: bool,
 ) -> None:
-    """Prove that a generated decode function gives the declared values; raise `Failed` with a witness.
+    """Prove that a generated decode function gives the declared values; raise `FailedClaim` with a witness.
 
     A `quick` function may raise `struct.error` where another one refuses.
     """
@@ -227,7 +228,7 @@ def prove_decoder(
                         packet.given,
                     )
                 except Refuted as refuted:
-                    raise Failed(packet.witness(str(refuted), refuted.model)) from None
+                    raise FailedClaim(packet.witness(str(refuted), refuted.model)) from None
         search.reached = size
 
 
@@ -248,7 +249,7 @@ def _decoded_as_meant(
         if not quick:
             search.fail("the decoder raises struct.error")
         got = None
-    except (NotProvable, Refuted):
+    except (NoAnswer, NotProvable, Refuted):
         raise
     except Exception as error:
         search.fail(f"the decoder raises {type(error).__name__}: {error}")
@@ -345,7 +346,7 @@ def prove_encoder(
             }
             try:
                 identifier, head, rest = run(fields)
-            except (NotProvable, Refuted):
+            except (NoAnswer, NotProvable, Refuted):
                 raise
             except USUAL_FAILURES:
                 return  # construct builds it, or refuses it
@@ -371,7 +372,7 @@ def prove_encoder(
         try:
             search.run(body, packet.given)
         except Refuted as refuted:
-            raise Failed(packet.witness(str(refuted), refuted.model)) from None
+            raise FailedClaim(packet.witness(str(refuted), refuted.model)) from None
         search.reached = size
         search.accepted = taken
     if not taken:
@@ -441,7 +442,7 @@ def _other_digits(data: bytes, chance: random.Random) -> bytes:
 
 __all__ = [
     "FD",
-    "Failed",
+    "FailedClaim",
     "SymbolicPacket",
     "Witness",
     "decoders",

@@ -23,7 +23,7 @@ from aces_bus.protocol.encoder import quick_encoders
 from . import witness as w
 from .account import Outcome
 from .decoding import (
-    Failed,
+    FailedClaim,
     Witness,
     decoders,
     drawn,
@@ -129,7 +129,7 @@ def prove_message(job: MessageJob, seconds: float = SECONDS) -> Outcome:
         search = PathSearch(min(until - time.process_time(), share))
         try:
             claim(search)
-        except Failed as failed:
+        except FailedClaim as failed:
             _refuted(job, outcome, what, failed.witness)
             return True
         except NoAnswer as reason:
@@ -230,7 +230,7 @@ def _sample(job: MessageJob, outcome: Outcome, sizes: Sequence[int]) -> None:
                 meant = meaning(message, found.data, parts, raw=True, key=found.key)
                 assert meant is not None
                 by_meaning = w.text_of(w.plain_meaning(meant)) == w.text_of(want) or not _no_container(meant)
-            except (NotProvable, AssertionError, TypeError, AttributeError):
+            except (NoAnswer, NotProvable, AssertionError, TypeError, AttributeError):
                 by_meaning = False
         if want is None:
             continue

@@ -33,7 +33,7 @@ from aces_bus.testing import laws
 from aces_bus.testing.laws import Way, directions
 
 from .account import Outcome
-from .decoding import Failed, Witness, drawn, proof_lengths
+from .decoding import FailedClaim, Witness, drawn, proof_lengths
 from .meaning import check_number_of, covered_cells, head_value, is_value_of
 from .stand_ins import code_with_constants, from_bytes
 from .symbols import NotProvable, PathSearch, Refuted, SymbolicBytes, SymbolicInt, concrete
@@ -350,7 +350,7 @@ def _stays(framings: Sequence[Framing], data: SymbolicBytes, search: PathSearch)
 
 
 def prove_scan(scanner: stream.StreamScanner, search: PathSearch) -> None:
-    """Prove the printed scan function; `search.reached` tells how far. Raise `Failed` with a witness."""
+    """Prove the printed scan function; `search.reached` tells how far. Raise `FailedClaim` with a witness."""
     framings = scanner.framings
     least = [framing.min_size for framing in framings if framing.min_size <= LONGEST]
     printed = PrintedScan(scanner)
@@ -368,7 +368,9 @@ def prove_scan(scanner: stream.StreamScanner, search: PathSearch) -> None:
                 search.run(partial(claim, data))
             except Refuted as refuted:
                 found = [refuted.model.eval(cell, model_completion=True) for cell in data.cells]
-                raise Failed(Witness(str(refuted), None, bytes(cell.as_long() for cell in found))) from None
+                raise FailedClaim(
+                    Witness(str(refuted), None, bytes(cell.as_long() for cell in found))
+                ) from None
         search.reached = size
 
 
@@ -521,9 +523,9 @@ class StreamJob:
         try:
             found = check_seek(scanner.framings) if all(f.sync for f in scanner.framings) else None
             if found is not None:
-                raise Failed(found)
+                raise FailedClaim(found)
             prove_scan(scanner, search)
-        except Failed as failed:
+        except FailedClaim as failed:
             found = failed.witness
             outcome.witness = shown_by(scanner, found.data)
             if outcome.witness is not None:

@@ -21,7 +21,7 @@ class NotProvable(Exception):
     """A construct, an operation or a size that the proof does not cover; the argument says which."""
 
 
-class NoAnswer(NotProvable):
+class NoAnswer(Exception):
     """The solver gave no answer within its limits."""
 
 

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from aces_bus.plain_text import printable, printable_lines
 
@@ -70,15 +70,22 @@ def _wrapped(text: str, width: int | None) -> list[str]:
 
 
 class Page:
-    """Lines for people on stdout: coloured and wrapped on a terminal, neither elsewhere."""
+    """Lines for people on stdout: coloured and wrapped on a terminal, neither elsewhere.
 
-    def __init__(self, colour: bool | None) -> None:
+    `put` takes the lines instead, where they are kept first.
+    """
+
+    def __init__(self, colour: bool | None, put: Callable[[Iterable[str]], object] | None = None) -> None:
+        self._put = put
         is_terminal = Output(None).is_terminal
         self.is_coloured = wants_colour(colour, is_terminal)
         self.width = terminal_width() if is_terminal else None
         self.paint: Paint = make_paint() if self.is_coloured else no_paint
 
     def lines(self, lines: Iterable[str]) -> None:
+        if self._put is not None:
+            self._put(lines)
+            return
         for line in lines:
             print(line)
 
