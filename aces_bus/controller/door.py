@@ -26,7 +26,7 @@ from ..device.stopping import stop_devices
 from ..errors import AcesError, CallerError
 from .following import Following
 from .limiter import Bounds
-from .line import BusLines, Line
+from .line import BusLines, SetpointLine
 from .travel import Travel, is_push
 from .trip import Clipped
 
@@ -62,7 +62,7 @@ class Door:
         self.noted: Callable[[str, Device, str], None] = lambda what, device, detail: None
         #: Whether joints take set-points that are known not to be homed.
         self.takes_unhomed = False
-        self._lines: dict[str, Line] = {}
+        self._lines: dict[str, SetpointLine] = {}
         self._travels: list[Travel] = []
         buses: dict[Host, BusLines] = {}
         for device in devices:
@@ -72,7 +72,7 @@ class Door:
             for name, signal in device.signals.items():
                 if signal.limit is None:  # it can never be set
                     continue
-                line = self._lines[name] = Line(self, device, signal, bus)
+                line = self._lines[name] = SetpointLine(self, device, signal, bus)
                 signal.door = line.set
                 if line.follower is not None and name in device.readable:
                     bus.watched.append(line)
@@ -107,7 +107,7 @@ class Door:
                 line.travel = made
         return made
 
-    def _line(self, name: str) -> Line:
+    def _line(self, name: str) -> SetpointLine:
         whole = self.whole(name)
         if whole not in self._lines:
             raise CallerError(f"{whole!r} is read-only")

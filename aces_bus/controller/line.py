@@ -33,7 +33,7 @@ SPEEDS = ("rad/s", "m/s")
 NOT_HOMED = "is not homed, so that it is not known where it is: home it first, or say --unhomed (needs_homing = false)"
 
 
-class Line(Limiter):
+class SetpointLine(Limiter):
     """One signal: its limiter, what is wanted of it, and who may say so."""
 
     __slots__ = (
@@ -329,8 +329,8 @@ class BusLines:
 
     def __init__(self, host: Host) -> None:
         self.host = host
-        self.active: dict[Line, None] = {}
-        self.watched: list[Line] = []
+        self.active: dict[SetpointLine, None] = {}
+        self.watched: list[SetpointLine] = []
         self.travels: list[Travel] = []
         self._is_ticked = host.is_ticked
         self.period_ns = round(1e9 / host.rate_hz) if host.is_ticked and host.rate_hz else PERIOD_NS
