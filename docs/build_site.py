@@ -85,6 +85,7 @@ CONTENTS: dict[str, list[str]] = {
         "foxglove",
         "ros2",
         "twins",
+        "physics",
         "device-fuzzing",
     ],
     "Catalogue": ["catalogue/protocols", "catalogue/devices"],

@@ -30,6 +30,7 @@ from ..protocol import Protocol, Record, Variant
 from ..protocol.live.stream import StreamScanner
 from ..runtime.clock import EventClock, Timer
 from .config import DeviceConfig, Robot
+from .physics import MovedBody
 from .port import Port
 from .station import BusEndpoint, EndpointMember, refuse_shadowing
 
@@ -60,13 +61,18 @@ class World:
     homed: bool = True
     #: What else twins have in common (a body's pose, a battery), by a name that its maker chooses.
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
+    #: The body from outside that the motors move; None: each joint moves by itself.
+    body: MovedBody | None = None
 
     def random(self, name: str) -> random.Random:
         """Return a random generator for each twin: one twin more or less does not change what another draws."""
         return random.Random(f"{self.seed} {name}")
 
     def start_of(self, joint: str, usual: float = 0.0) -> float:
-        """Return where a joint is at first: as was said, or as usual."""
+        """Return where a joint is at first: as was said, or as its body has it, or as usual."""
+        if self.body is not None and joint not in self.pose:
+            placed = self.body.position_of(joint)
+            usual = usual if placed is None else placed
         return self.pose.get(joint, usual)
 
 

@@ -14,6 +14,7 @@ from ..device.config import Bus, Robot
 from ..device.drivers import Driver, load_driver
 from ..device.events import EventLog
 from ..device.host import BUDGET
+from ..device.physics import Physics
 from ..device.port import Port
 from ..device.signals import Signal
 from ..errors import CallerError
@@ -165,8 +166,9 @@ class VirtualRobot:
         robot["RHY.position"].value
 
     `faults` and `noise` (bus → what its wire does wrong); `pose` (joint → rad: where its twin is at first); `homed` False:
-    as after power-up, what needs homing is not homed. `rate_hz` is the tick of buses whose rate the file does not state,
-    when absent the file's own; 0: no ticks. The other options are those of `connect` and `simulate`.
+    as after power-up, what needs homing is not homed; `physics`: the body that the twins' motors move. `rate_hz` is the tick
+    of buses whose rate the file does not state, when absent the file's own; 0: no ticks. The other options are those of
+    `connect` and `simulate`.
     """
 
     def __init__(
@@ -182,6 +184,7 @@ class VirtualRobot:
         noise: Mapping[str, Noise] | None = None,
         pose: Mapping[str, float] | None = None,
         homed: bool = True,
+        physics: Physics | None = None,
         load: Callable[[str], Driver] = load_driver,
     ) -> None:
         self.robot = robot
@@ -201,7 +204,9 @@ class VirtualRobot:
             robot, self.ports("host"), rate_hz=rate_hz, budget=budget, rules=rules, load=load
         )
         twins = {bus: port_of(wire, name=f"{bus} twins") for bus, wire in self.wires.items()}
-        self.simulation: Simulation = simulate(robot, twins, seed=seed, pose=pose, homed=homed, load=load)
+        self.simulation: Simulation = simulate(
+            robot, twins, seed=seed, pose=pose, homed=homed, physics=physics, load=load
+        )
 
     def ports(self, name: str) -> dict[str, Any]:
         """Return a port of each wire for one more host: it sends what the robot's file allows."""

@@ -23,6 +23,7 @@ from ..device.device import Device
 from ..device.drivers import Driver, load_driver
 from ..device.events import DeviceEvent, EventLog
 from ..device.host import BUDGET, Host
+from ..device.physics import MovedBody, Physics
 from ..device.port import Port
 from ..device.signals import Signal
 from ..device.stopping import stop_devices, wait_stopped
@@ -41,6 +42,8 @@ T = TypeVar("T")
 Loader = Callable[[str], Driver]
 #: Actions that wait for the enable chain.
 CHAINED = ("enable", "home")
+#: How long a body from outside may wait to be caught up (ns): it falls also where nobody asks.
+BODY_NS = 10_000_000
 #: What a joint's name alone means, by the joint's `command`.
 MAIN = {"position": "position", "speed": "velocity", "current": "current", "duty": "duty"}
 
@@ -309,6 +312,7 @@ class Simulation:
     robot: Robot
     world: World
     buses: dict[str, Twins]
+    _is_moving: bool = field(default=False, init=False, repr=False)
 
     @property
     def twins(self) -> dict[str, Twin]:
@@ -326,10 +330,21 @@ class Simulation:
         """Put the twins on their buses."""
         for twins in self.buses.values():
             twins.open()
+        if self.world.body is not None and not self._is_moving:
+            self._is_moving = True
+            self.world.clock.call_in(BODY_NS, self._move)
         return self
+
+    def _move(self) -> None:
+        """Catch the body up, again and again until the twins are closed."""
+        clock, body = self.world.clock, self.world.body
+        if self._is_moving and body is not None:
+            body.advance(clock.now())
+            clock.call_in(BODY_NS, self._move)
 
     def close(self) -> None:
         """Take the twins off their buses."""
+        self._is_moving = False
         for twins in self.buses.values():
             twins.close()
 
@@ -347,18 +362,22 @@ def simulate(
     seed: int = 0,
     pose: Mapping[str, float] | None = None,
     homed: bool = True,
+    physics: Physics | None = None,
     load: Loader = load_driver,
 ) -> Simulation:
     """Return the robot's twins, on these ports (bus name → port), not open yet; `homed` False: as after power-up.
 
-    `pose` is where joints are at first (name or alias → rad, or m); the others are where their twins begin. Raises as
-    `connect`, and `CallerError` for a joint that cannot be there.
+    `pose` is where joints are at first (name or alias → rad, or m); the others are where their twins begin, or where
+    `physics` has them: the body that the twins' motors then move. Raises as `connect`, and `CallerError` for a joint that
+    cannot be there.
     """
     wanted = {robot.joint(name).name: angle for name, angle in (pose or {}).items()}
     buses = {name: Twins(ports[name], variants) for name, variants in _variants(robot, ports, load).items()}
     if not buses:
         raise CallerError(f"robot {robot.name} has no active device")
-    world = World(next(iter(buses.values())).clock, seed, pose=wanted, homed=homed)
+    clock = next(iter(buses.values())).clock
+    body = None if physics is None else MovedBody(physics, clock.now())
+    world = World(clock, seed, pose=wanted, homed=homed, body=body)
     for config, driver in _driven(robot, load):
         twins = buses[config.bus]
         twins.add(driver.twin(twins, config, robot, twins.variants[driver.protocol], world))

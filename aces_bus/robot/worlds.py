@@ -15,6 +15,7 @@ from ..controller.base import ControllerLike
 from ..device import Robot
 from ..device.config import priority_of
 from ..device.drivers import Driver, load_driver
+from ..device.physics import Physics
 from ..errors import CallerError
 from ..frame_table import NO_TIME, to_ns
 from ..frames import Frame
@@ -35,17 +36,19 @@ def run_virtual(
     rate_hz: float | None = None,
     seed: int = 0,
     pose: Mapping[str, float] | None = None,
+    physics: Physics | None = None,
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
     """Return a runner in virtual time: `with run_virtual(robot, [walk]) as run: run.do("enable"); run.run(10.0)`.
 
-    `rate_hz` is the buses' tick (default: the robot's, else 100 Hz), `pose` where joints are at first (see `simulate`).
-    Other options are `Runner`'s.
+    `rate_hz` is the buses' tick (default: the robot's, else 100 Hz), `pose` where joints are at first and `physics` the
+    body that the twins' motors move (see `simulate`). Other options are `Runner`'s.
     """
     made = robot
     if isinstance(made, Robot):
-        made = VirtualRobot(made, rate_hz=rate_hz or made.rate_hz or 100, seed=seed, pose=pose, load=load)
+        rate_hz = rate_hz or made.rate_hz or 100
+        made = VirtualRobot(made, rate_hz=rate_hz, seed=seed, pose=pose, physics=physics, load=load)
     runner = Runner(made.rig, controllers, tasks=VirtualTasks(made.clock), **options)
     runner.before.append(made.simulation.open)
     runner.after.append(made.simulation.close)

@@ -92,7 +92,7 @@ def test_a_wheel_has_speeds_and_stops() -> None:
         assert twin["goal_speed"] == 0x8000 | 652
         assert robot["J1.velocity"].value == pytest.approx(1.0, abs=2e-3)
         device.stop_motion().wait()
-        robot.advance(0.2)
+        robot.advance(0.5)
         assert robot["J1.velocity"].value == 0
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_devices.joint_model import AMBIENT, STEP_NS, MotorJoint, MotorModel, servo_gains
+from aces_devices.joint_model import AMBIENT, STEP_NS, MotorJoint, MotorModel, PacedGoal, servo_gains
 
 MS = STEP_NS
 
@@ -80,6 +80,33 @@ def test_a_current_is_held() -> None:
     joint.sync(1000 * MS)
     assert joint.q == 0.3
     assert joint.current == pytest.approx(0.8)
+
+
+def test_a_paced_goal_is_followed_and_reached() -> None:
+    """The goal moves at its pace, with its acceleration, and stops at the target; the joint is close behind it."""
+    motor = MotorModel(friction=0.0)
+    stiffness, damping = servo_gains(motor)
+    law = PacedGoal(0.0, 1.0, stiffness, damping, pace=1.0, acceleration=4.0, ahead=1.0 / motor.speed)
+    joint = MotorJoint(motor, 0)
+    joint.obey(0, law)
+    joint.sync(125 * MS)
+    assert joint.v == pytest.approx(0.5, abs=0.1)
+    joint.sync(500 * MS)
+    assert joint.v == pytest.approx(1.0, abs=0.02)
+    joint.sync(3000 * MS)
+    assert joint.q == pytest.approx(1.0, abs=1e-4)
+    assert law.is_steady
+
+
+def test_a_goal_does_not_run_away_from_a_joint_that_cannot_follow() -> None:
+    """A jammed joint that is to turn on and on does not leap once it is free again."""
+    law = PacedGoal(0.0, None, 2.0, 0.2, pace=3.0)
+    joint = MotorJoint(MotorModel(), 0)
+    joint.jammed = True
+    joint.obey(0, law)
+    joint.sync(5000 * MS)
+    assert law.goal == pytest.approx(0.5)
+    assert joint.current == pytest.approx(8.0)
 
 
 @given(

@@ -54,7 +54,7 @@ def test_every_set_point_has_limits_and_watchdog() -> None:
         told = commands(robot)
         robot["J"].set(0.5)
         robot.advance(1.0)
-        assert robot["J.position"].value == pytest.approx(0.5)
+        assert robot["J.position"].value == pytest.approx(0.5, abs=1e-3)
         assert len(told) == pytest.approx(50, abs=2)
         assert told[-1] == {
             "mode": "position",
@@ -110,7 +110,7 @@ def test_without_a_host_its_watchdog_stops_it() -> None:
         robot.rig.each("enable").wait(5)
         robot["J"].set(0.2)
         robot.advance(1.0)
-        assert robot["J.position"].value == pytest.approx(0.2)
+        assert robot["J.position"].value == pytest.approx(0.2, abs=1e-3)
 
 
 def test_a_fault_is_told_and_ends_set_points() -> None:
@@ -138,7 +138,7 @@ def test_a_stop_is_confirmed_or_named() -> None:
         robot["J"].set(1.0)
         robot.advance(0.1)
         robot.rig.stop_motion().wait(5)
-        robot.advance(0.1)
+        robot.advance(1.0)  # it runs out
         assert robot.twins["M"].mode == "stopped"
         where = robot["J.position"].value
         robot.advance(0.5)
@@ -183,3 +183,48 @@ def test_its_zero_is_moved_only_while_it_is_stopped() -> None:
         robot.rig.each("enable").wait(5)
         with pytest.raises(DeviceError, match="stop it before its zero is moved"):
             device.set_zero().wait(5)
+
+
+def values(robot: VirtualRobot) -> dict[str, float]:
+    """What the twin of the arm measures now."""
+    twin: Any = robot.twins["M"]
+    twin._sync()
+    return {name: twin.value_of(name) for name in ("torque", "q_current", "temperature", "voltage", "power")}
+
+
+def test_what_it_measures_is_what_its_motor_does() -> None:
+    """Blocked it pushes with the torque that it may have, draws current for it, gets hot, and trips at 75 °C."""
+    with arm() as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot.advance(0.1)
+        rest = values(robot)
+        assert abs(rest["torque"]) < 0.05
+        assert rest["temperature"] == pytest.approx(25, abs=0.1)
+        robot.twins["M"].fault("jam")
+        robot["J"].set(0.9)
+        robot.advance(1.0)
+        pushing = values(robot)
+        assert pushing["torque"] == pytest.approx(1.5, rel=1e-3)  # the file's `max_torque`
+        assert pushing["q_current"] == pytest.approx(15.0, rel=1e-3)
+        assert pushing["voltage"] < rest["voltage"]
+        assert pushing["power"] > 0
+        assert pushing["temperature"] > rest["temperature"] + 0.3
+        robot.twins["M"].motor.temperature = 130.0
+        robot.advance(0.1)
+        assert robot.events.of("alarm")[-1].detail == "over_temperature"
+        assert values(robot)["q_current"] == 0.0
+
+
+def test_a_brown_out_is_a_fault_until_the_supply_is_back() -> None:
+    """Too little voltage ends the motion as under-voltage; enabling works once the supply is back."""
+    with arm() as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot.twins["M"].fault("brown_out", 9.0)
+        robot.advance(0.1)
+        assert robot.events.of("alarm")[-1].detail == "under_voltage"
+        with pytest.raises(DeviceError, match="under_voltage"):
+            robot.rig.each("enable").wait(5)
+        robot.twins["M"].fault("brown_out", on=False)
+        robot.rig.each("enable").wait(5)

@@ -84,7 +84,7 @@ def test_a_joint_goes_where_it_is_told_at_the_speed_it_is_given() -> None:
         robot["J1.position"].set(1.0)
         robot.advance(1.0)
         assert robot["J1.position"].value == pytest.approx(0.5, abs=0.03)
-        assert robot["J1.velocity"].value == pytest.approx(0.5, abs=0.01)
+        assert robot["J1.velocity"].value == pytest.approx(0.5, abs=0.02)
         assert robot["J1.load"].value > 0
         assert robot["J1.moving"].value is True
         robot.advance(1.5)
@@ -120,7 +120,7 @@ def test_endless_turn_is_driven_by_duty() -> None:
         assert robot["J1.velocity"].value > 2
         assert robot["J1.position"].is_writable is False
         robot.devices["S1"].stop_motion().wait()
-        robot.advance(0.1)
+        robot.advance(1.0)
         assert robot["J1.velocity"].value == 0
 
 

@@ -219,6 +219,22 @@ def test_a_quadruped_trots(names_of: Names, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.slow
+def test_a_quadruped_stands_walks_and_falls_the_same_twice(names_of: Names) -> None:
+    """It stands at its height, walks on upright, and lies on the ground once it is switched off; twice to the last bit."""
+    pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'aces-bus[physics]'")
+    ends = [names_of("quadruped_walk.py")["main"](3.0) for _ in range(2)]
+    for found in ends:
+        found.pop("ratio")
+        assert found["standing"][2] > 0.3
+        assert found["walked"][0] - found["standing"][0] > 0.3
+        assert found["walked"][2] > 0.28
+        assert found["upright"] > 0.95
+        assert found["fallen"][2] < 0.15
+        assert not found["tripped"]
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.slow
 def test_one_controller_on_three_robots(names_of: Names) -> None:
     """The controller's file knows no robot; on CAN and serial it steps, on the recording it gives what it gave."""
     names = names_of("same_controller.py")

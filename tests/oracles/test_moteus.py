@@ -247,16 +247,16 @@ def test_its_transport_drives_our_twin(bench: Bench, number: int, name: str) -> 
         assert command["command_position_max_torque"] == 1.5
         assert math.isnan(command["command_timeout"])
         end = time.monotonic() + PATIENCE_S
-        while (await controller.query()).values[peer.Register.POSITION] != 0.25:
+        while abs((await controller.query()).values[peer.Register.POSITION] - 0.25) > 1e-3:
             assert time.monotonic() < end
         asked = await controller.custom_query(
             {peer.Register.POSITION: multiplex.INT16, peer.Register.COMMAND_POSITION: multiplex.F32}
         )
-        assert asked.values[peer.Register.POSITION] == pytest.approx(0.25)
+        assert asked.values[peer.Register.POSITION] == pytest.approx(0.25, abs=1e-3)
         assert asked.values[peer.Register.COMMAND_POSITION] == 0.25
         state = (await controller.set_stop(query=True)).values
         assert state[peer.Register.MODE] == 0
-        assert state[peer.Register.POSITION] == 0.25
+        assert state[peer.Register.POSITION] == pytest.approx(0.25, abs=0.01)
         assert bench.twin(name, lambda twin: twin.mode) == "stopped"
 
     bench.run(steps)

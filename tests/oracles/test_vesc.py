@@ -54,12 +54,12 @@ def test_pyvesc_reads_our_twin() -> None:
     with a_motor() as (motor, twin, made):
         assert motor.get_firmware_version().startswith("6.5.")
         with made.port.lock:
-            twin.model.motor.lead(made.line.clock.now(), 100.0, 0.001)
+            twin.model.motor.drive(made.line.clock.now(), 1 / 6)
             twin.model.warm = 44.4
-        wait_until(lambda: motor.get_rpm() > 6000)
+        wait_until(lambda: motor.get_rpm() > 6500)
         values = motor.get_measurements()
         assert (values.v_in, values.temp_fet, values.temp_motor) == (48.2, 44.4, 44.4)
-        assert values.rpm == pytest.approx(100 * 60 / 6.283185307 * 7, rel=0.01)
+        assert values.rpm == pytest.approx(100 * 60 / 6.283185307 * 7, rel=0.03)
         assert values.duty_cycle_now == pytest.approx(100 / 600, abs=0.002)
         assert values.mc_fault_code == b"\0"
 

@@ -26,6 +26,8 @@ BOUND, BRAKES = 1.5, 20.0
 POLL_S, REPLY_S, TICK_S = 0.01, 0.005, 0.01
 #: What rounding to a servo's count leaves (rad).
 COUNT = 0.002
+#: As near (counts) as friction lets a servo come to its goal.
+NEAR = 4
 
 
 class Way(NamedTuple):
@@ -119,9 +121,10 @@ def is_driving(twin: Any) -> bool:
             motion, now = twin.motion, twin.clock.now()
             if not motion.is_driven:
                 return False
-            return bool(
-                motion.speed or (motion.speed is None and abs(motion.goal - motion.position(now)) > 1)
-            )
+            for given in (motion.duty, motion.current, motion.speed):
+                if given is not None:
+                    return bool(given)
+            return bool(abs(motion.goal - motion.position(now)) > NEAR)
 
 
 class Truth:

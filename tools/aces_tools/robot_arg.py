@@ -33,6 +33,7 @@ from .options import SEED, Group, argument, at_least, flag, several
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
+    from aces_bus.device.physics import Physics
     from aces_bus.robot import VirtualRobot
     from aces_bus.robot.rig import Rig
     from aces_bus.runtime.clock import EventClock
@@ -71,6 +72,11 @@ ROBOT_AND_BUSES = Group(
 POSE = several(
     "--pose", metavar="JOINT=ANGLE", help="where a twin's joint is at first: 0.3 (rad, m) or 20deg"
 )
+PHYSICS = argument(
+    "--physics",
+    metavar="NAME[:MODEL]",
+    help="what the twins' motors move, such as mujoco:quadruped.xml (default: each joint moves by itself)",
+)
 ROBOT_OR_TWINS = Group(
     _TITLE,
     (
@@ -78,6 +84,7 @@ ROBOT_OR_TWINS = Group(
         flag("--virtual", help="on no bus: with simulated devices (twins), here, in virtual time"),
         SEED.but(help="of the twins (default: %(default)s)"),
         POSE,
+        PHYSICS,
     ),
 )
 REDUCED = flag("--reduced", help="at the reduced speed that the robot's file states")
@@ -179,6 +186,15 @@ class Opened:
     virtual: VirtualRobot | None
 
 
+def chosen_physics(robot: Robot, text: str | None) -> Physics | None:
+    """Return the physics that `--physics` names, None where it names none; raises as `physics_of`."""
+    if not text:
+        return None
+    from aces_bus.robot.physics import physics_of
+
+    return physics_of(text, robot)
+
+
 @contextmanager
 def open_robot(
     robot: Robot,
@@ -199,11 +215,15 @@ def open_robot(
 
         if arguments.bus or arguments.interface:
             raise CallerError("--virtual has no buses; leave --bus and -i away")
-        with VirtualRobot(robot, rate_hz=rate_hz, seed=arguments.seed, rules=rules, pose=pose) as made:
+        physics = chosen_physics(robot, arguments.physics)
+        with VirtualRobot(
+            robot, rate_hz=rate_hz, seed=arguments.seed, rules=rules, pose=pose, physics=physics
+        ) as made:
             yield Opened(robot, made.rig, made.clock, made)
         return
-    if pose:
-        raise CallerError("--pose is for twins: add --virtual, or give it to aces sim")
+    if pose or arguments.physics:
+        what = "pose" if pose else "physics"
+        raise CallerError(f"--{what} is for twins: add --virtual, or give it to aces sim")
     options = bus_options(robot, arguments)
     check_channels(robot, options)
     from aces_bus.robot import connect, open_gates

@@ -2,6 +2,7 @@
 
   aces run -r hubo2plus wave.py --virtual          with simulated devices
   aces run -r hubo2plus walk_100hz.txt --virtual --log walk.csv
+  aces run -r quadruped trot.py --virtual --physics mujoco:quadruped.xml
   aces run -r hubo2plus walk.py -i socketcan       listens, and sends nothing
   aces run -r hubo2plus walk.py -i socketcan --ask asks, and sends no set-points
   aces run -r hubo2plus walk.py -i socketcan --tx  and now it moves
@@ -135,8 +136,9 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.replay and (arguments.tx or arguments.home or arguments.ask):
         raise CallerError("--replay moves nothing; leave --tx, --ask and --home away")
-    if arguments.pose and not arguments.virtual:
-        raise CallerError("--pose is for twins: add --virtual, or give it to aces sim")
+    for what in ("pose", "physics"):
+        if getattr(arguments, what) and not arguments.virtual:
+            raise CallerError(f"--{what} is for twins: add --virtual, or give it to aces sim")
     robot = at_reduced_speed(chosen_robot(arguments.robot, arguments.driver), arguments.reduced)
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)

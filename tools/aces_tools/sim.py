@@ -13,6 +13,7 @@
                                       on buses that exist
   aces sim -r robot.toml --fault JMC3:silent --fault JMC1:late=0.2
   aces sim -r hubo2plus --pose RKN=30deg         where a joint is at first
+  aces sim -r quadruped --physics mujoco:quadruped.xml    they move this body
   aces sim -r minihubo_1 --foxglove              where its joints are, live
   aces sim -r hubo2plus --list-faults            how its devices can misbehave
 
@@ -38,10 +39,12 @@ from .live_view import live_view, show_bus, show_bus_event
 from .options import FOR, JSON, SEED, Arguments, argument, flag, several
 from .patience import Patience
 from .robot_arg import (
+    PHYSICS,
     POSE,
     ROBOT_AND_BUSES,
     bus_options,
     check_channels,
+    chosen_physics,
     chosen_pose,
     chosen_robot,
     open_host,
@@ -50,6 +53,7 @@ from .robot_arg import (
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
+    from aces_bus.device.physics import Physics
     from aces_bus.device.twin import JointModel
     from aces_bus.robot.rig import Simulation
 
@@ -90,6 +94,7 @@ ARGUMENTS: Arguments = (
     FOR.but(help="end after this time (default: Ctrl-C)"),
     SEED,
     POSE,
+    PHYSICS,
     flag("--unhomed", help="joints are as after power-up: what needs homing is not homed"),
     JSON.but(help="the buses, and at the end the counts, as JSON"),
     ROBOT_AND_BUSES,
@@ -108,7 +113,10 @@ def run(arguments: argparse.Namespace) -> int:
         patience = stack.enter_context(Patience())
         pose = chosen_pose(robot, arguments.pose)
         view = stack.enter_context(live_view("sim", arguments, f"{robot.name}, simulated"))
-        stand = SimulatedRobot(robot, options, arguments.seed, stack, pose, view, homed=not arguments.unhomed)
+        physics = chosen_physics(robot, arguments.physics)
+        stand = SimulatedRobot(
+            robot, options, arguments.seed, stack, pose, view, homed=not arguments.unhomed, physics=physics
+        )
         for names, fault, amount in faults:
             for name in names:
                 stand.simulation[name].fault(fault, amount)
@@ -237,6 +245,7 @@ class SimulatedRobot:
         view: LiveView | None = None,
         *,
         homed: bool = True,
+        physics: Physics | None = None,
     ) -> None:
         from aces_bus.robot.buses import gate_of, port_for
         from aces_bus.robot.rig import simulate, spoken_on
@@ -261,7 +270,9 @@ class SimulatedRobot:
             if name not in lines:
                 bus = robot.buses[name]
                 ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
-        self.simulation: Simulation = simulate(robot, ports, seed=seed, pose=pose, homed=homed)
+        self.simulation: Simulation = simulate(
+            robot, ports, seed=seed, pose=pose, homed=homed, physics=physics
+        )
         stack.callback(self.simulation.close)
         if view is not None:
             self._show_live(view)

@@ -101,6 +101,9 @@ class AxisModel:
                 )
             case 0x6077:
                 self.advance(now)
+                if self.motor.body is not None:
+                    share = self.motor.current / self.motor.motor.stall_current
+                    return round(copysign(1000.0, self.units.per_rad) * share)
                 return round(self._torque)
             case 0x6061:
                 return self.mode
@@ -204,7 +207,7 @@ class AxisModel:
         self.goal = self.demand if MODE_NAMES.get(self.mode) in POSITION_MODES else 0.0
         self._next = None
         self._searched = -1
-        self.motor.place(self.at, self.motor.q)
+        self.motor.lead(self.at, self.motor.q)
 
     def _of_mode(self, old: int, word: int) -> None:
         """Apply the bits of the controlword that belong to the mode."""
@@ -323,6 +326,9 @@ class AxisModel:
 
     def advance(self, now: int) -> None:
         """Catch up to `now` (ns)."""
+        if self.motor.body is not None:
+            self.motor.sync(now)
+            return
         steps = (now - self.at) // STEP_NS
         if steps <= 0:
             return
@@ -336,6 +342,16 @@ class AxisModel:
             if self._is_still():
                 self.at = now - now % STEP_NS
                 return
+
+    def step_at(self, at: int) -> None:
+        """Advance by the millisecond that ends at `at` in a body that the motor is in."""
+        self.at = at
+        if self.state not in ("operation enabled", "quick stop active"):
+            return
+        if not self._is_still():
+            self._step()
+        elif MODE_NAMES.get(self.mode) in POSITION_MODES:
+            self._follow()
 
     def _is_still(self) -> bool:
         name = MODE_NAMES.get(self.mode)
@@ -409,7 +425,7 @@ class AxisModel:
 
     def _follow(self) -> None:
         """Move the motor to the planned place, unless something is in its way."""
-        self.motor.place(self.at, (self.demand - self.units.zero - self.shift) / self.units.per_rad)
+        self.motor.lead(self.at, (self.demand - self.units.zero - self.shift) / self.units.per_rad)
         behind = abs(self.demand - self._actual())
         self._torque = 0.0 if self.speed == 0 else copysign(20.0, self.speed)
         if behind > 1.0:

@@ -43,8 +43,10 @@ class Cia402Twin(CanopenTwin):
             # Switched off, it stays where it was.
             place = old.position(now) if isinstance(old, AxisModel) else self.world.start_of(joint.name)
             if place:
-                made.motor.q = place
+                made.motor.place(now, place)
                 made.demand = made.goal = made.motor.q * units.per_rad + units.zero
+            made.motor.controller = made.step_at
+            made.motor.join(self.world, joint.name)
             axes[offset] = self.world.joints[joint.name] = made
         self.axes = axes
         self.add_node(self.dictionary)  # last: from here on its clock's thread may ask for them
@@ -124,4 +126,5 @@ class Cia402Twin(CanopenTwin):
             for axis in self.axes.values():
                 axis.advance(self.clock.now())
                 axis.state = "not ready to switch on"
+                axis.motor.free(self.clock.now())
         super().power(on)

@@ -17,7 +17,7 @@ from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE, Master
 
-from ..joint_model import AMBIENT, MotorModel, joint_of
+from ..joint_model import AMBIENT, JAM, MotorModel, jam, joint_of
 
 #: The motor's ranges where the robot's file has no model: those of a 4310.
 USUAL = MODELS["4310"]
@@ -46,7 +46,7 @@ class DamiaoTwin(Twin):
     """One motor. `registers` holds its registers by number, `status` what its feedbacks say."""
 
     protocol = "damiao"
-    faults: ClassVar = {
+    faults: ClassVar = JAM | {
         name: f"status {name}: it is off, and stays so until the error is cleared" for name in _FAULTS
     }
     reply_delay_ns = 30_000
@@ -84,6 +84,11 @@ class DamiaoTwin(Twin):
             _BAUD_CODE: _1_MBIT,
             **dict(zip(_RANGES, ranges, strict=True)),
         }
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """See `Twin.fault`."""
+        super().fault(name, amount, on=on)
+        jam(self, self.motor)
 
     def draw(self, dice: Random, share: float = 1.0) -> None:
         """Draw an angle within the motor's range, and a temperature."""

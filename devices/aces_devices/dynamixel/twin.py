@@ -6,24 +6,31 @@ Source: ROBOTIS e-manual, protocol 2.0 and control tables; where it is silent, s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import inf, tau
 from typing import Any, ClassVar
 
 from aces_bus.device import on
 from aces_bus.device.register_device import RegisterCodec
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.dynamixel.control_table import ANGLE, HARDWARE_ERRORS, MODES, SPEED, WATCHDOG_ERROR
 from aces_protocols.dynamixel.models import MODEL_NAMES, MODELS
 from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table, packet
 
-from ..servos.motion import SteadyShaft
+from ..joint_model import MotorModel
+from ..servos.motion import DRAG, ServoShaft
 from ..servos.twin import WRITE, RegisterTable, ServoTwin
-from .driver import FAR, PWM, TURN, Dynamixel, DynamixelSettings, mode_of
+from .driver import ACCELERATION_STEP, FAR, PWM, TURN, Dynamixel, DynamixelSettings, mode_of
 
 RAM = 64
-#: Choices: firmware 46, 12 V (or the middle of what the model takes), 32 °C.
+#: Choices: firmware 46, 12 V (or the middle of what the model takes), 32 °C without load.
 FIRMWARE, SUPPLY, WARMTH = 46, 120, 32
+#: The stall current as a share of the current limit, or in A where there is none; N·m/A of an XM430-W350; s/rad. Choices.
+STALL, STALL_A, TORQUE_CONSTANT, DAMPING = 0.72, 1.4, 1.78, 0.2
 #: Counts a second at one count of velocity.
 PER_SPEED = SPEED * 6 / ANGLE
+#: Counts a second² at one count of acceleration.
+PER_ACCELERATION = ACCELERATION_STEP / Dynamixel.count_rad
 #: A count of the watchdog (ns).
 WATCHDOG_NS = 20_000_000
 GOALS = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
@@ -51,22 +58,29 @@ class DynamixelTwin(ServoTwin):
 
     def make(self) -> None:
         """Make it as delivered, with the speed, delay, level and mode that the robot's file means."""
-        self.motion = SteadyShaft()
         joint = self.joints[0] if self.joints else None
         self.model = MODEL_NAMES.get(self.config.model or "", MODELS[0])
         self._factory()
         self.tune()
         self["return_delay"] = round(self.settings.return_delay_us / 2)
         self["operating_mode"] = MODES[mode_of(joint, self.settings)]
-        self._joint, self._step = (1, 0.0), Dynamixel.count_rad
+        scale = JointScale.of(joint, 1.0 / Dynamixel.count_rad)
+        start = TURN / 2
         if joint is not None:
             self.world.joints[joint.name] = self
-            self._joint = (joint.direction, joint.zero or 0.0)
-            self._step = Dynamixel.count_rad / (joint.ratio or 1.0)
-            start = joint.direction * self.world.start_of(joint.name) + (joint.zero or 0.0)
-            self.motion.at = float(self._clipped(round(start / self._step)))
-        else:
-            self.motion.at = TURN / 2
+            start = float(self._clipped(round(scale.raw_angle(self.world.start_of(joint.name)))))
+        model = self.model
+        step = model.current_step_a
+        motor = MotorModel(
+            speed=model.velocity_limit * SPEED * tau / 60 * (1.0 + DRAG),
+            stall_current=STALL_A if step is None else STALL * model.current_limit * step,
+            friction=0.008,
+            heating=0.1,
+            cooling=150.0,
+            torque_constant=TORQUE_CONSTANT,
+            drag=DRAG,
+        )
+        self.motion = ServoShaft(self, motor, scale, start, stiffness=1.0, damping=DAMPING)
 
     def _clipped(self, count: int) -> int:
         low, high = (0, TURN - 1) if self["operating_mode"] == MODES["position"] else (-FAR, FAR)
@@ -85,7 +99,7 @@ class DynamixelTwin(ServoTwin):
         now = self.clock.now()
         super().begin()
         #: When it last had an instruction (ns).
-        self._instructed_at = now
+        self._instructed_at, self._is_watched = now, False
         self.motion.settle(now)
         self.load_defaults(RAM, len(self.table))
         self["status_return_level"] = self.settings.status_return_level
@@ -109,8 +123,8 @@ class DynamixelTwin(ServoTwin):
     def position(self, now: int) -> float:
         """Return the joint's angle (rad)."""
         self._watch(now)
-        direction, zero = self._joint
-        return (self.motion.position(now) * self._step - zero) * direction
+        self.motion.settle(now)
+        return self.motion.motor.q
 
     def before_write(self) -> None:
         """Settle the motion up to now."""
@@ -118,32 +132,56 @@ class DynamixelTwin(ServoTwin):
 
     def apply(self) -> None:
         """Apply the registers to the motion."""
-        motion, mode = self.motion, self["operating_mode"]
-        motion.settle(self.clock.now())
+        motion, mode, now = self.motion, self["operating_mode"], self.clock.now()
         motion.is_driven = bool(self["torque_enable"])
         motion.is_jammed = "jam" in self.active_faults
         free = self["velocity_limit"] * PER_SPEED
         profile = self["profile_velocity"] * PER_SPEED
         motion.limit = min(free, profile) if profile else free
+        motion.acceleration = self["profile_acceleration"] * PER_ACCELERATION or inf
+        # PWM for each count of error: raw ÷ 128 (ROBOTIS e-manual); at the joint a rad has as many counts as its ratio says.
+        motion.stiffness = self["position_p_gain"] / 128 / PWM * abs(motion.scale.raw_speed(1.0))
         motion.goal = float(self["goal_position"])
-        motion.speed = None
+        motion.strength = abs(self["goal_pwm"]) / PWM
+        motion.speed = motion.duty = motion.current = None
+        is_stopped = self["bus_watchdog"] == WATCHDOG_ERROR
+        if is_stopped:
+            motion.goal = motion.at
         if mode == MODES["velocity"]:
-            motion.speed = self["goal_velocity"] * PER_SPEED
+            motion.speed = 0.0 if is_stopped else self["goal_velocity"] * PER_SPEED
         elif mode == MODES["pwm"]:
-            motion.speed = self["goal_pwm"] / PWM * free
+            motion.strength, motion.duty = 1.0, 0.0 if is_stopped else self["goal_pwm"] / PWM
         elif mode == MODES["current"]:
-            motion.speed = self["goal_current"] / max(1, self["current_limit"]) * free
-        if self["bus_watchdog"] == WATCHDOG_ERROR:
-            motion.goal, motion.speed = motion.at, None
+            motion.current = 0.0 if is_stopped else self["goal_current"] / self._stall
+        elif mode == MODES["current_based_position"]:
+            motion.strength = min(motion.strength, abs(self["goal_current"]) / self._stall)
+        motion.apply(now)
+
+    @property
+    def _stall(self) -> float:
+        """The stall current, in counts of the model's currents."""
+        step = self.model.current_step_a
+        return 1000.0 if step is None else self.motion.motor.motor.stall_current / step
+
+    def _keep_watch(self) -> None:
+        """Look when the watchdog's time is over, while it is on and the motor driven."""
+        steps = self["bus_watchdog"]
+        if steps and steps != WATCHDOG_ERROR and self["torque_enable"] and not self._is_watched:
+            self._is_watched = True
+            end = self._instructed_at + steps * WATCHDOG_NS
+            self.clock.call_at(max(end, self.clock.now()) + 1, self._look)
+
+    def _look(self) -> None:
+        self._is_watched = False
+        self._watch(self.clock.now())
+        self._keep_watch()
 
     def _watch(self, now: int) -> None:
         """Stop when the watchdog's time was over since the last instruction."""
         steps = self["bus_watchdog"]
         end = self._instructed_at + steps * WATCHDOG_NS
         if steps and steps != WATCHDOG_ERROR and self["torque_enable"] and now > end:
-            self.motion.settle(end)
             self["bus_watchdog"] = WATCHDOG_ERROR
-            self.motion.goal, self.motion.speed = self.motion.at, None
             self.apply()
 
     def measure(self) -> int:
@@ -153,27 +191,23 @@ class DynamixelTwin(ServoTwin):
         motion, faults = self.motion, self.active_faults
         if motion.is_jammed is not ("jam" in faults):
             self.apply()
-        wanted = motion.wanted_at(now)
         speed = motion.speed_at(now)
-        share = wanted / max(1.0, self["velocity_limit"] * PER_SPEED)
-        self["present_position"] = round(motion.position(now))
+        self["present_position"] = round(motion.at)
         self["present_velocity"] = round(speed / PER_SPEED)
-        self["present_pwm"] = round(share * PWM)
-        self["present_current"] = round(
-            share * (self["current_limit"] if self.model.current_step_a else 1000)
-        )
+        self["present_pwm"] = round(motion.drive * PWM)
+        self["present_current"] = round(motion.load * self._stall)
         self["moving"] = abs(speed) > self["moving_threshold"] * PER_SPEED
         self["registered_instruction"] = self.is_holding
         self["realtime_tick"] = now // 1_000_000 % 0x8000
         lowest, highest = self.model.voltages
         errors = self["hardware_error"] | self.alarms(
             HARDWARE_ERRORS,
-            pushes=motion.is_jammed and bool(wanted),
+            pushes=motion.pushes,
             hottest="temperature_limit",
             lowest="min_voltage_limit",
             highest="max_voltage_limit",
             supply=min(SUPPLY, (lowest + highest) // 2),
-            warmth=WARMTH,
+            warmth=round(WARMTH + motion.warming),
         )
         self["hardware_error"] = errors
         if errors & self["shutdown"] and self["torque_enable"]:
@@ -188,7 +222,8 @@ class DynamixelTwin(ServoTwin):
         if self.is_powered and self.is_tuned:
             self._watch(self.clock.now())
             self._instructed_at = self.clock.now()
-        super().receive(record, instant)
+            super().receive(record, instant)
+            self._keep_watch()
 
     def refused(self, why: str) -> Any:
         """Return the number of a refusal, by its name."""

@@ -10,21 +10,28 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from aces_bus.device import on
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE
 from aces_protocols.feetech.models import MODEL_NAMES, MODELS
 from aces_protocols.feetech.spec import scs_table, sts_table
 from aces_protocols.robotis.fields import from_directed, to_directed
 
-from ..servos.motion import SteadyShaft
+from ..joint_model import MotorModel
+from ..servos.motion import DRAG, ServoShaft
 from ..servos.twin import RegisterTable, ServoTwin
 from .driver import FULL, series_of
 
 RAM = 40
-#: Choices: firmware 3.10, 7.4 V, 30 °C.
+#: Choices: firmware 3.10, 7.4 V, 30 °C without load.
 FIRMWARE, SUPPLY, WARMTH = (3, 10), 74, 30
 #: The greatest speed (counts a second) of a turn of 4096: 50 rpm. A choice.
 FREE = 3413
+#: The motor: A blocked, N·m/A; stiffness (duty for a rad) and damping (s/rad) at the factory's gains: those of an STS3215 at
+#: 7.4 V, about. Choices.
+STALL_A, TORQUE_CONSTANT, STIFFNESS, DAMPING = 2.5, 0.76, 12.0, 0.2
+#: mA a count of current, counts/s² a count of acceleration, the factory's gain.
+CURRENT_A, PER_ACCELERATION, USUAL_GAIN = 6.5e-3, 100.0, 32
 TABLES = {"STS": RegisterTable(sts_table), "SCS": RegisterTable(scs_table)}
 #: ° a count.
 ANGLES = {"STS": STS_ANGLE, "SCS": SCS_ANGLE}
@@ -53,22 +60,30 @@ class FeetechTwin(ServoTwin):
 
     def make(self) -> None:
         """Make it as delivered, with the speed, delay, level and mode that the robot's file means."""
-        #: Counts are the sensor's: without the homing offset.
-        self.motion = SteadyShaft(at=self.turn / 2)
         self._factory()
         self.tune()
         self["return_delay"] = round(self.settings.return_delay_us / 2)
         self["status_return_level"] = max(0, self.settings.status_return_level - self.level_offset)
         joint = self.joints[0] if self.joints else None
-        self._joint, self._step = (1, 0.0), math.radians(ANGLES[self.series])
+        #: Counts are the sensor's: without the homing offset.
+        scale = JointScale.of(joint, 1.0 / math.radians(ANGLES[self.series]))
+        start = self.turn / 2
         if joint is not None:
             self.world.joints[joint.name] = self
-            self._joint = (joint.direction, joint.zero or 0.0)
-            self._step /= joint.ratio or 1.0
             if joint.command == "speed":
                 self["operating_mode"] = VELOCITY
-            start = joint.direction * self.world.start_of(joint.name) + (joint.zero or 0.0)
-            self.motion.at = max(0.0, min(self.turn - 1.0, start / self._step))
+            start = scale.raw_angle(self.world.start_of(joint.name))
+            start = max(0.0, min(self.turn - 1.0, start))
+        motor = MotorModel(
+            speed=math.tau * FREE / 4096 * (1.0 + DRAG),
+            stall_current=STALL_A,
+            friction=0.008,
+            heating=0.15,
+            cooling=120.0,
+            torque_constant=TORQUE_CONSTANT,
+            drag=DRAG,
+        )
+        self.motion = ServoShaft(self, motor, scale, start, stiffness=STIFFNESS, damping=DAMPING)
         #: What is there after power-off: of the table below the RAM, what was written unlocked.
         self["id"] = self.credentials["id"]
         self._saved = bytes(self.table[:RAM])
@@ -109,15 +124,13 @@ class FeetechTwin(ServoTwin):
 
     def position(self, now: int) -> float:
         """Return the joint's angle (rad), as its position register has it."""
-        direction, zero = self._joint
-        return ((self.motion.position(now) - self.offset) * self._step - zero) * direction
+        return self.motion.scale.angle(self.motion.position(now) - self.offset)
 
     def turn_by_hand(self, position: float) -> None:
         """Turn the joint by hand to an angle (rad): it goes there at once, unless its torque is on."""
         if not self["torque_enable"]:
-            direction, zero = self._joint
             self.motion.settle(self.clock.now())
-            self.motion.at = (direction * position + zero) / self._step + self.offset
+            self.motion.at = self.motion.scale.raw_angle(position) + self.offset
 
     def before_write(self) -> None:
         """Settle the motion up to now."""
@@ -131,7 +144,6 @@ class FeetechTwin(ServoTwin):
     def apply(self) -> None:
         """Apply the registers to the motion."""
         motion = self.motion
-        motion.settle(self.clock.now())
         motion.is_driven = bool(self["torque_enable"])
         motion.is_jammed = "jam" in self.active_faults
         free = FREE * self.turn / 4096
@@ -142,6 +154,12 @@ class FeetechTwin(ServoTwin):
         motion.goal = float((max(low, min(high, goal)) if low < high else goal) + self.offset)
         is_wheel = self.series == "STS" and self["operating_mode"] == VELOCITY
         motion.speed = max(-free, min(free, float(speed))) if is_wheel else None
+        motion.acceleration = self["acceleration"] * PER_ACCELERATION or math.inf
+        per_rad = motion.scale.ratio
+        motion.stiffness = STIFFNESS * per_rad * self["p_gain"] / USUAL_GAIN
+        motion.damping = DAMPING * per_rad * self["d_gain"] / USUAL_GAIN
+        motion.strength = (self["torque_limit"] if self.series == "STS" else self["max_torque"]) / FULL
+        motion.apply(self.clock.now())
 
     def measure(self) -> int:
         """Bring what is measured up to date; the error bits that hold now."""
@@ -149,22 +167,21 @@ class FeetechTwin(ServoTwin):
         motion, faults = self.motion, self.active_faults
         if motion.is_jammed is not ("jam" in faults):
             self.apply()
-        wanted, speed = motion.wanted_at(now), motion.speed_at(now)
-        share = round(wanted / (FREE * self.turn / 4096) * FULL)
-        self["present_position"] = self._shown(round(motion.position(now)))
+        speed = motion.speed_at(now)
+        self["present_position"] = self._shown(round(motion.at))
         self["present_speed"] = to_directed(round(speed), 15)
-        self["present_load"] = to_directed(share, 10)
+        self["present_load"] = to_directed(round(motion.drive * FULL), 10)
         if self.series == "STS":
-            self["present_current"] = abs(share) // 10
-        self["moving"] = bool(speed)
+            self["present_current"] = round(abs(motion.load) * STALL_A / CURRENT_A)
+        self["moving"] = bool(round(speed))
         errors = self.alarms(
             ERRORS,
-            pushes=motion.is_jammed and bool(wanted),
+            pushes=motion.pushes,
             hottest="max_temperature",
             lowest="min_voltage",
             highest="max_voltage",
             supply=SUPPLY,
-            warmth=WARMTH,
+            warmth=round(WARMTH + motion.warming),
         )
         self["status"] = errors
         if errors & self["unload_condition"] and self["torque_enable"]:

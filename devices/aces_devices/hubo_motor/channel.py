@@ -183,9 +183,14 @@ class MotorChannel:
     def sync(self, now: int) -> None:
         """Catch up."""
         joint = self.joint
-        while self.search is not None and joint.at + STEP_NS <= now:
+        while joint.body is None and self.search is not None and joint.at + STEP_NS <= now:
             self._search_step(joint.at + STEP_NS)
         joint.sync(now)
+
+    def step_search(self, at: int) -> None:
+        """Advance a home search by a millisecond of the body that the joint is in."""
+        if self.search is not None:
+            self._search_step(at)
 
     def count(self, now: int) -> int:
         """Return what the encoder says."""
@@ -277,7 +282,7 @@ class MotorChannel:
         """Advance a home search, a movement of constant speed, by a millisecond."""
         search, joint, board = self.search, self.joint, self.board
         assert search is not None
-        before = self.raw(joint.q)
+        before = self.raw(joint.led)
         to_offset = search.phase == "offset"
         unit = board.velocity_to_offset if to_offset else board.velocity_to_switch
         stride = max(1, unit) * HOMING_SPEED * self.counts * 1e-3
@@ -287,8 +292,8 @@ class MotorChannel:
             wanted = goal if abs(goal - before) <= stride else before + way * stride
         else:
             wanted = before + (-search.way if search.phase == "away" else search.way) * stride
-        joint.place(at, self.angle(wanted))
-        after = self.raw(joint.q)
+        joint.lead(at, self.angle(wanted))
+        after = self.raw(joint.led)
         search.gone += abs(after - before)
         search.since_switch += abs(after - before)
         stuck = abs(after - before) < 1e-9 and abs(wanted - before) > 1e-9

@@ -343,6 +343,7 @@ class HuboMotorD15Twin(Twin):
             place = self.world.start_of(joint.name) if old is None else old.position(now)
             made = _SimulatedMotor(joint, now, place)
             made.is_homed = old is None and self.world.homed
+            made.model.join(self.world, joint.name)
             self.motors[joint.channel] = made
             self.world.joints[joint.name] = made
         self._continuous = 0

@@ -91,6 +91,8 @@ class HuboMotorTwin(Twin):
         for channel in self.channels:
             if channel.own is not None:
                 self.world.joints[channel.own.name] = _Place(channel)
+                channel.joint.controller = channel.step_search
+                channel.joint.join(self.world, channel.own.name)
                 if self.world.homed:
                     channel.be_homed()
         self._frozen: dict[int, int] = {}

@@ -1,4 +1,4 @@
-"""The twin of an LX-16A: a shaft that turns with a steady speed, registers that survive power-off.
+"""The twin of an LX-16A: a servo's shaft, registers that survive power-off.
 
 1. A command with a number that does not exist, or an angle beyond the limits, is held to the limits, as the servo does.
 2. Above its temperature limit, and beyond its voltages, the motor is not driven. Temperature and supply are choices.
@@ -10,13 +10,17 @@ import math
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.device.single_motor import JointScale
 from aces_protocols.lx16a.spec import ANGLE, SERVOS, TURN
 
-from ..servos.motion import SteadyShaft
+from ..joint_model import MotorModel
+from ..servos.motion import DRAG, ServoShaft
 
 #: Full speed without load (counts a second): 60° in 0.16 s at 7.4 V. The angle of a count (rad).
 FREE, COUNT_RAD = 60 / 0.16 / ANGLE, math.radians(ANGLE)
-#: Choices: °C, V.
+#: The motor at 7.4 V: A blocked, N·m/A (17 kg·cm), and its stiffness (duty a rad) and damping (s/rad). Choices.
+STALL_A, TORQUE_CONSTANT, STIFFNESS, DAMPING = 2.5, 0.67, 12.0, 0.2
+#: Choices: °C without load, V.
 WARMTH, SUPPLY = 35, 7.4
 FACTORY = {"Offset": 0.0, "Limits": (0.0, 240.0), "VoltageLimits": (4.5, 12.0), "TemperatureLimit": 85}
 
@@ -36,14 +40,25 @@ class Lx16aTwin(Twin):
         if "kept" not in self.__dict__:
             self.kept: dict[str, Any] = dict(FACTORY)
             joint = self.joints[0] if self.joints else None
-            self._joint = (joint.direction, joint.zero or 0.0, joint.ratio or 1.0) if joint else (1, 0.0, 1.0)
-            direction, zero, ratio = self._joint
+            scale = JointScale.of(joint, 1.0 / COUNT_RAD)
             start = TURN / 2
             if joint is not None:
                 self.world.joints[joint.name] = self
-                usual = direction * (TURN / 2 * COUNT_RAD / ratio - zero)
-                start = (direction * self.world.start_of(joint.name, usual) + zero) * ratio / COUNT_RAD
-            self.shaft = SteadyShaft(at=max(0.0, min(float(TURN), start)), limit=FREE)
+                start = scale.raw_angle(self.world.start_of(joint.name, scale.angle(start)))
+            motor = MotorModel(
+                speed=FREE * COUNT_RAD * (1.0 + DRAG),
+                stall_current=STALL_A,
+                friction=0.008,
+                heating=0.15,
+                cooling=120.0,
+                torque_constant=TORQUE_CONSTANT,
+                drag=DRAG,
+            )
+            start = max(0.0, min(float(TURN), start))
+            ratio = scale.ratio
+            self.shaft = ServoShaft(
+                self, motor, scale, start, stiffness=STIFFNESS * ratio, damping=DAMPING * ratio
+            )
         self.mode, self.speed, self.torque, self.led = "position", 0, "off", "on"
         self.alarms = ["temperature", "voltage", "stalled"]
         self.goal, self.time, self.later = round(self.shaft.at), 0, (round(self.shaft.at), 0)
@@ -51,15 +66,15 @@ class Lx16aTwin(Twin):
 
     def position(self, now: int) -> float:
         """Return the joint's angle (rad)."""
-        direction, zero, ratio = self._joint
-        return direction * (self.shaft.position(now) * COUNT_RAD / ratio - zero)
+        self.shaft.settle(now)
+        return self.shaft.motor.q
 
     @property
     def temperature(self) -> float:
         """The temperature inside (°C)."""
         if "hot" in self.active_faults:
             return float(self.active_faults["hot"] or self.kept["TemperatureLimit"] + 5)
-        return WARMTH
+        return WARMTH + self.shaft.warming
 
     @property
     def supply(self) -> float:
@@ -80,6 +95,7 @@ class Lx16aTwin(Twin):
         away = abs(shaft.goal - shaft.at)
         shaft.limit = min(FREE, away / (self.time / 1000)) if self.time and away else FREE
         shaft.speed = self.speed / 1000 * FREE if self.mode == "motor" else None
+        shaft.apply(self.clock.now())
 
     def receive(self, record: Any, instant: int) -> None:
         """Take a command; what is wrong by then counts."""

@@ -1,9 +1,10 @@
 """The twin of a moteus: registers in any of their types, position mode with its limits and watchdog, faults.
 
 1. What is written counts when the frame is over, the mode first; what is read is answered in the type that was asked for.
-2. The motor follows its command exactly, no faster than the velocity limit; torque is the command's, within its limit. Both
-   are choices: nothing here swings, heats or slips.
-3. A command lasts until its watchdog; then the controller is in mode 11, which only a stop ends.
+2. A goal moves within the limits of velocity and acceleration, and a motor (`joint_model`) follows it with stiffness and
+   damping, with no more torque than the command allows. Its sizes are choices.
+3. A command lasts until its watchdog; then the controller is in mode 11, where it only damps, and which only a stop ends.
+4. Above 75 °C or below 10 V it is in a fault (servo.fault_temperature; the least voltage is a choice).
 """
 
 from __future__ import annotations
@@ -15,18 +16,22 @@ from struct import calcsize
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.device.single_motor import JointScale
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.protocol import Record
 from aces_protocols.moteus.registers import BY_NAME, FAULTS, TYPES
 from aces_protocols.moteus.subframes import bytes_of, register_values
 
+from ..joint_model import AMBIENT, JAM, MotorModel, PacedGoal, jam, joint_of
+
 #: The watchdog of a command that names none (s), the configured maximum torque (N·m), the fastest the motor turns (turn/s).
 TIMEOUT_S, MAX_TORQUE, MAX_VELOCITY = 0.1, 3.0, 20.0
-#: What the twin measures besides: V, °C; model, firmware, register map, serial numbers.
+#: At the controller: amperes and N·m/A of its motor, stiffness (N·m/rad) and damping (N·m·s/rad) at a scale of 1. Choices.
+CURRENT, TORQUE_CONSTANT, STIFFNESS, DAMPING = 30.0, MAX_TORQUE / 30.0, 60.0, 1.5
+#: The supply without load (V) and its resistance (ohm); the least voltage (V) and the highest temperature (°C).
+SUPPLY, RESISTANCE, LEAST_VOLTAGE, MOST_TEMPERATURE = 24.0, 0.05, 10.0, 75.0
+#: What else the twin has: model, firmware, register map, serial numbers.
 FIXED = {
-    "voltage": 24.0,
-    "temperature": 31.0,
-    "motor_temperature": 0.0,
     "model_number": 0x0100,
     "firmware_version": 0x010A,
     "register_map_version": 5,
@@ -64,78 +69,113 @@ class MoteusTwin(Twin):
 
     protocol = "moteus"
     faults: ClassVar = {
-        "jam": "the motor does not turn",
+        **JAM,
+        "hot": "the motor is at 100 °C (or as hot as said), and cools",
+        "brown_out": "the supply has 8 V (or as much as said): a fault, 40 under-voltage, until it is back and stopped",
         "trip": "a fault, 38 over-temperature (or the code said), until it is over and the controller is stopped",
     }
-    amounts: ClassVar = {"trip": 38}
+    amounts: ClassVar = {"trip": 38, "hot": 100.0, "brown_out": 8.0}
 
     def setup(self) -> None:
         """Begin as just powered: stopped, where the motor is."""
-        joint = self.joints[0] if self.joints else None
-        self._per_rad = (joint.direction if joint else 1) * ((joint.ratio if joint else None) or 1.0) / tau
-        self._zero = (joint.zero or 0.0) * (joint.direction if joint else 1) if joint else 0.0
-        if "_turns" not in self.__dict__:
-            start = self.world.start_of(joint.name) if joint else 0.0
-            self._turns, self._at = (start + self._zero) * self._per_rad, self.clock.now()
-            if joint is not None:
-                self.world.joints[joint.name] = self
+        self.scale = scale = JointScale.of(self.joints[0] if self.joints else None, 1 / tau)
+        self.motor = joint_of(
+            self,
+            MotorModel(
+                speed=abs(scale.speed(MAX_VELOCITY)),
+                time_constant=0.1,
+                stall_current=CURRENT,
+                friction=0.003,
+                heating=0.005,
+                cooling=120.0,
+                torque_constant=TORQUE_CONSTANT * scale.ratio,
+            ),
+        )
         self.mode, self.fault_code = "stopped", 0
         self.command: dict[str, float] = dict(COMMAND)
-        #: Where it is led (turns), None: on and on at the speed; how fast (turn/s); the watchdog's end.
-        self._goal: float | None = None
-        self._speed = 0.0
+        #: What is added to the motor's turns, as its position was set; it is lost without power.
+        self.offset = 0.0
+        self._law: PacedGoal | None = None
         self._until: int | None = None
+        self._watch = self.clock.call_in(0, self._late)
 
     def draw(self, dice: Random, share: float = 1.0) -> None:
         """Turn it by up to 1000 turns of the motor."""
-        self._sync()
-        self._turns = dice.uniform(-1000.0, 1000.0) * share
+        self.motor.place(self.clock.now(), self.scale.angle(dice.uniform(-1000.0, 1000.0) * share))
 
     # ------------------------------------------------------------------ motion
 
     def _sync(self) -> float:
         """Return where the motor is (turns); what happened since is caught up."""
+        now, motor = self.clock.now(), self.motor
+        motor.sync(now)
+        if self.temperature > MOST_TEMPERATURE:
+            self._trip("over_temperature")
+        elif self.voltage < LEAST_VOLTAGE:
+            self._trip("under_voltage")
+        return self.scale.raw_angle(motor.q) + self.offset
+
+    def _late(self) -> None:
+        """End position mode, if its watchdog's time is over."""
         now = self.clock.now()
-        end = now if self._until is None else min(now, self._until)
-        passed = max(0, end - self._at) / 1e9
-        if self.mode == "position" and "jam" not in self.active_faults:
-            self._turns += self._way(passed)
         if self._until is not None and now >= self._until and self.mode == "position":
+            self._damp(now)
             self.mode, self._until = "position_timeout", None
-        self._at = now
-        return self._turns
 
-    def _limit(self) -> float:
-        limit = self.command["command_velocity_limit"]
-        return MAX_VELOCITY if isnan(limit) else min(limit, MAX_VELOCITY)
+    def _damp(self, now: int) -> None:
+        """Hold no position, resist motion: mode zero velocity, and what is left after the watchdog."""
+        self._law = self._law_of(nan, None, 0.0)
+        self._law.stiffness = 0.0
+        self.motor.obey(now, self._law)
 
-    def _way(self, seconds: float) -> float:
-        reach = self._limit() * seconds
-        if self._goal is None:
-            return max(-reach, min(reach, self._speed * seconds))
-        way = self._goal - self._turns
-        return max(-reach, min(reach, way))
+    def _trip(self, fault: str) -> None:
+        if self.mode != "fault":
+            self._fail(next(code for code, name in FAULTS.items() if name == fault))
 
-    def _velocity(self) -> float:
-        if self.mode != "position" or "jam" in self.active_faults:
-            return 0.0
-        limit = self._limit()
-        if self._goal is None:
-            return max(-limit, min(limit, self._speed))
-        way = self._goal - self._turns
-        return 0.0 if not way else limit if way > 0 else -limit
+    def _fail(self, code: int) -> None:
+        self.mode, self.fault_code, self._until = "fault", code, None
+        self.motor.free(self.clock.now())
 
-    def _torque(self) -> float:
+    @property
+    def temperature(self) -> float:
+        """The temperature of the board (°C): half as far above its surroundings as the winding's."""
+        return (self.motor.temperature + AMBIENT) / 2
+
+    @property
+    def voltage(self) -> float:
+        """The supply (V), which sinks with the current that is drawn."""
+        motor = self.motor
+        drawn = max(0.0, motor.duty * motor.current)
+        return self.active_faults.get("brown_out", SUPPLY) - RESISTANCE * drawn
+
+    def _most_torque(self) -> float:
         most = self.command["command_position_max_torque"]
-        most = MAX_TORQUE if isnan(most) else min(most, MAX_TORQUE)
-        wanted = self.command["command_feedforward_torque"]
-        if "jam" in self.active_faults and self._goal is not None and self._goal != self._turns:
-            wanted = inf if self._goal > self._turns else -inf
-        return max(-most, min(most, wanted)) if self.mode == "position" else 0.0
+        return MAX_TORQUE if isnan(most) else min(most, MAX_TORQUE)
+
+    def _law_of(self, goal: float, target: float | None, speed: float) -> PacedGoal:
+        """Return what a command has the motor do: from `goal` to `target` (turns), or on at `speed` (turn/s)."""
+        scale, command, motor = self.scale, self.command, self.motor
+        limit, rise = command["command_velocity_limit"], command["command_accel_limit"]
+        fastest = min(inf if isnan(limit) else limit, MAX_VELOCITY)
+        whole = motor.motor.stall_torque
+        return PacedGoal(
+            goal=motor.q if isnan(goal) else scale.angle(goal - self.offset),
+            target=None if target is None else scale.angle(target - self.offset),
+            pace=abs(scale.speed(fastest))
+            if target is not None
+            else scale.speed(max(-fastest, min(fastest, speed))),
+            acceleration=inf if isnan(rise) or rise <= 0.0 else abs(scale.speed(rise)),
+            stiffness=scale.gain(STIFFNESS) * command["command_kp_scale"] / whole,
+            damping=scale.gain(DAMPING) * command["command_kd_scale"] / whole,
+            feed=scale.torque(command["command_feedforward_torque"]) / whole,
+            limit=abs(scale.torque(self._most_torque())) / whole,
+            emf=1.0 / motor.motor.speed,
+        )
 
     def position(self, now: int) -> float:
         """Return where the joint is (rad)."""
-        return self._sync() / self._per_rad - self._zero
+        self._sync()
+        return self.motor.q
 
     # ------------------------------------------------------------------ requests
 
@@ -186,63 +226,85 @@ class MoteusTwin(Twin):
             case "fault":
                 return self.fault_code
             case "position" | "abs_position" | "encoder_0_position":
-                return self._turns
+                return self.scale.raw_angle(self.motor.q) + self.offset
             case "velocity" | "encoder_0_velocity":
-                return self._velocity()
+                return self.scale.raw_speed(self.motor.v)
             case "torque":
-                return self._torque()
+                return self.scale.raw_torque(self.motor.torque)
+            case "q_current":
+                return self.scale.direction * self.motor.current
+            case "power":
+                return SUPPLY * self.motor.duty * self.motor.current
+            case "voltage":
+                return self.voltage
+            case "temperature":
+                return self.temperature
+            case "motor_temperature":
+                return self.motor.temperature
             case "trajectory_complete":
-                return int(self._goal is not None and self._goal == self._turns)
+                return int(self.mode == "position" and self._law is not None and self._law.is_steady)
             case "multiplex_id":
                 return self.credentials["id"]
             case "millisecond_counter":
                 return self.clock.now() // 1_000_000
-            case "q_current" | "d_current" | "power" | "home_state":
+            case "d_current" | "home_state":
                 return 0.0 if BY_NAME[name].measure else 0
             case _:
                 return self.command.get(name, FIXED.get(name))
 
     def _write(self, values: Mapping[str, Any]) -> None:
-        self._sync()
+        turns = self._sync()
         for name in ("set_output_nearest", "set_output_exact"):
             if name in values:
-                self._turns = float(values[name])
+                self.offset += float(values[name]) - turns
+                turns = float(values[name])
         mode = values.get("mode")
         if mode is None:
             self.command.update((name, value) for name, value in values.items() if name in self.command)
             return
         # A command begins with the mode, and what it does not name is as it is by default.
         self.command = {**COMMAND, **{name: value for name, value in values.items() if name in COMMAND}}
+        now = self.clock.now()
         if mode == "stopped":
             code = round(self.active_faults.get("trip", 0))
             self.mode, self.fault_code = ("fault", code) if code else ("stopped", 0)
             self._until = None
+            self.motor.free(now)
+            self._sync()
         elif self.mode in ("fault", "position_timeout"):
             return
         elif mode not in COMMANDED:
-            self.mode, self.fault_code = (
-                "fault",
-                next(n for n, name in FAULTS.items() if name == "not_configured"),
-            )
+            self._fail(next(n for n, name in FAULTS.items() if name == "not_configured"))
         elif mode == "position":
-            self._begin()
+            self._begin(turns)
         else:
             self.mode, self._until = str(mode), None
+            if mode == "brake":
+                self.motor.drive(now, 0.0)
+            else:
+                self._damp(now)
 
-    def _begin(self) -> None:
+    def _begin(self, turns: float) -> None:
         """Begin position mode: to the position, or on from the present one, until the watchdog."""
-        command = self.command
+        command, law = self.command, self._law if self.mode == "position" else None
         place, speed, stop = (
             command[f"command_{name}"] for name in ("position", "velocity", "stop_position")
         )
+        speed = 0.0 if isnan(speed) else speed
+        goal = turns if law is None else self.scale.raw_angle(law.goal) + self.offset
+        target: float | None = place
         if isnan(place):
-            held = self._goal if self.mode == "position" and self._goal is not None else self._turns
-            self._goal = held if not speed else None if isnan(stop) else stop
-        else:
-            self._goal = place
-        self._speed, self.mode = (0.0 if isnan(speed) else speed), "position"
+            target = goal if not speed else None if isnan(stop) else stop
+        made = self._law_of(goal, target, speed)
+        made.rate = 0.0 if law is None else law.rate
+        self._law, self.mode = made, "position"
+        self.motor.obey(self.clock.now(), made)
         seconds = command["command_timeout"]
-        self._until = None if isnan(seconds) else self.clock.now() + round(seconds * 1e9)
+        self._until = None
+        if not isnan(seconds):
+            self._until = self.clock.now() + round(seconds * 1e9)
+            self._watch.cancel()
+            self._watch = self.clock.call_at(self._until, self._late)
 
     # ------------------------------------------------------------------ misbehaving
 
@@ -250,13 +312,19 @@ class MoteusTwin(Twin):
         """See `Twin.fault`; a trip ends the motion."""
         self._sync()
         super().fault(name, amount, on=on)
+        jam(self, self.motor)
         if name == "trip" and on:
-            self.mode, self.fault_code, self._until = "fault", round(self.active_faults["trip"]), None
+            self._fail(round(self.active_faults["trip"]))
+        elif name == "hot" and on:
+            self.motor.temperature = self.active_faults["hot"]
+            del self.active_faults["hot"]  # from here on it cools
+        self._sync()
 
     def power(self, on: bool) -> None:
-        """See `Twin.power`: without power the motor stays where it is."""
+        """See `Twin.power`: without power the motor turns freely."""
         self._sync()
-        self.mode = "stopped"
+        self.mode, self._until = "stopped", None
+        self.motor.free(self.clock.now())
         super().power(on)
 
 

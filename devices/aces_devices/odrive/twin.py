@@ -18,7 +18,7 @@ from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.odrive.spec import Node
 
-from ..joint_model import MotorModel, joint_of
+from ..joint_model import JAM, MotorModel, jam, joint_of
 
 HEARTBEAT_S, ESTIMATES_S, CALIBRATION_S = 0.1, 0.01, 0.5
 #: What the twin's controllers hold with, at the joint: N·m/rad, N·m·s/rad. Choices.
@@ -32,6 +32,7 @@ class OdriveTwin(Twin):
 
     protocol = "odrive"
     faults: ClassVar = {
+        **JAM,
         "over_temperature": "the inverter is too hot: the axis disarms, and stays so until errors are cleared",
         "uncalibrated": "does not close its loop",
         "no_heartbeat": "sends no heartbeat",
@@ -56,6 +57,11 @@ class OdriveTwin(Twin):
         settings = self.config.settings
         if settings.get("estimates") != "asked":
             self.every(ESTIMATES_S, lambda: self.answer("EncoderEstimates"))
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """See `Twin.fault`."""
+        super().fault(name, amount, on=on)
+        jam(self, self.motor)
 
     def draw(self, dice: Random, share: float = 1.0) -> None:
         """Turn it by up to 100 turns of the motor."""

@@ -15,7 +15,7 @@ from aces_bus.device import Twin
 from aces_bus.protocol import Record
 from aces_protocols.roboclaw.spec import FULL_DUTY
 
-from ..servos.motion import SteadyShaft
+from ..wheel_model import SteadyShaft
 
 #: A choice: the speed at full duty (counts/s), as the factory's `full_speed` (manual, page 90).
 FULL_SPEED = 44_000

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import on
 from aces_bus.device.register_device import RegisterCodec
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.robotis.control_table import ERRORS
 from aces_protocols.robotis.fields import to_directed
@@ -44,7 +45,6 @@ class RobotisRXTwin(ServoTwin):
 
     def make(self) -> None:
         """Make it as delivered, with the speed, delay and level of the file, and the joint where the world has it."""
-        self.motion = ShaftMotion()
         self._factory()
         self.tune()
         self["model_number"] = MODELS.get(self.config.model or "", 28)
@@ -53,14 +53,12 @@ class RobotisRXTwin(ServoTwin):
         joint = self.joints[0] if self.joints else None
         if joint is not None:
             self.world.joints[joint.name] = self
-            self._joint = (joint.direction, joint.zero or 0.0)
-            self._step = STEP / (joint.ratio or 1.0)
             if joint.command == "duty" or joint.type == "continuous":
                 self["ccw_angle_limit"] = 0
-            start = joint.direction * self.world.start_of(joint.name) + (joint.zero or 0.0)
-            self.motion.at = max(0.0, min(float(TOP), start / self._step))
-        else:
-            self._joint, self._step = (1, 0.0), STEP
+        scale, start = JointScale.of(joint, 1.0 / STEP), 512.0
+        if joint is not None:
+            start = max(0.0, min(float(TOP), scale.raw_angle(self.world.start_of(joint.name))))
+        self.motion = ShaftMotion(self, scale, start)
 
     def _factory(self) -> None:
         self.load_defaults(0, EEPROM)
@@ -93,8 +91,7 @@ class RobotisRXTwin(ServoTwin):
 
     def position(self, now: int) -> float:
         """Return the joint's angle (rad)."""
-        direction, zero = self._joint
-        return (self.motion.position(now) * self._step - zero) * direction
+        return self.motion.scale.angle(self.motion.position(now))
 
     @property
     def is_endless(self) -> bool:
@@ -107,17 +104,17 @@ class RobotisRXTwin(ServoTwin):
 
     def apply(self) -> None:
         """Apply the registers to the motion."""
-        motion = self.motion
-        motion.settle(self.clock.now())
+        motion, law = self.motion, self.motion.law
         motion.is_driven = bool(self["torque_enable"])
         motion.is_jammed = "jam" in self.active_faults
-        motion.limit, motion.punch = min(TOP, self["torque_limit"]), self["punch"]
-        motion.margin = (self["cw_compliance_margin"], self["ccw_compliance_margin"])
-        motion.slope = (self["cw_compliance_slope"], self["ccw_compliance_slope"])
+        law.limit, law.punch = min(TOP, self["torque_limit"]), self["punch"]
+        law.margin = (self["cw_compliance_margin"], self["ccw_compliance_margin"])
+        law.slope = (self["cw_compliance_slope"], self["ccw_compliance_slope"])
         speed = self["moving_speed"]
         motion.duty = signed(speed) / TOP if self.is_endless else None
-        motion.speed = speed & TOP
-        motion.goal = float(self["goal_position"])
+        law.speed = speed & TOP
+        law.goal = float(self["goal_position"])
+        motion.apply(self.clock.now())
 
     def measure(self) -> int:
         """Bring what is measured up to date; the error bits that hold now."""
@@ -134,12 +131,12 @@ class RobotisRXTwin(ServoTwin):
         self["registered_instruction"] = self.is_holding
         bits = self.alarms(
             ERRORS,
-            pushes=motion.is_jammed and moves,
+            pushes=motion.pushes,
             hottest="highest_temperature",
             lowest="lowest_voltage",
             highest="highest_voltage",
             supply=SUPPLY,
-            warmth=WARMTH,
+            warmth=round(WARMTH + motion.warming),
         )
         self.blinks = bool(bits & self["alarm_led"])
         if bits & self["alarm_shutdown"] and self["torque_enable"]:

@@ -17,7 +17,7 @@ from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.robstride.spec import BYTES, DIALECTS, FAMILY, KINDS, MODELS, READ_ONLY
 
-from ..joint_model import AMBIENT, MotorModel, joint_of
+from ..joint_model import AMBIENT, JAM, MotorModel, jam, joint_of
 
 #: What position mode holds with (N·m/rad), speed mode (N·m·s/rad), and N·m an A: choices.
 STIFFNESS, DAMPING, TORQUE_CONSTANT = 120.0, 4.0, 1.2
@@ -32,7 +32,7 @@ class RobstrideTwin(Twin):
     """One motor. `parameters` by name; `state` is reset or run."""
 
     protocol = "robstride"
-    faults: ClassVar = {name: f"reports {name}, and is off until it is cleared" for name in _FAULTS}
+    faults: ClassVar = JAM | {name: f"reports {name}, and is off until it is cleared" for name in _FAULTS}
     reply_delay_ns = 30_000
 
     def setup(self) -> None:
@@ -53,6 +53,11 @@ class RobstrideTwin(Twin):
         self.failed: frozenset[str] = frozenset()
         self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
         self._watch: Any = None
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """See `Twin.fault`."""
+        super().fault(name, amount, on=on)
+        jam(self, self.motor)
 
     def draw(self, dice: Random, share: float = 1.0) -> None:
         """Turn it to an angle of its whole range, and have it warm."""

@@ -119,6 +119,14 @@ class ServoTwin(Twin):
         motion.at = float(round(middle + dice.uniform(-middle, middle) * share))
         self.begin()
 
+    def power(self, on: bool) -> None:
+        """See `Twin.power`: without power its motor is not driven."""
+        motion: Any = vars(self)["motion"]
+        if not on:
+            motion.is_driven = False
+            motion.apply(self.clock.now())
+        super().power(on)
+
     # ------------------------------------------------------------------ alarms
 
     def alarms(

@@ -1,7 +1,7 @@
 """What a simulated VESC does, whatever carries its packets: a motor, set-points with their time-out, values.
 
 1. Every set-point, and ALIVE, restarts the time-out; when it is over the motor is released (vedderb/bldc timeout.c).
-2. Speed follows each kind of set-point with a time constant of its own; no load, no friction. These are choices.
+2. The motor is one of `joint_model`; loops of speed and position hold it. Its sizes, and where it gets too hot, are choices.
 """
 
 from __future__ import annotations
@@ -11,20 +11,22 @@ from math import inf, tau
 from typing import Any
 
 from aces_bus.device import Twin
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_bus.runtime.clock import Timer
-from aces_devices.wheel_model import TurningWheel
+from aces_devices.joint_model import AMBIENT, MotorModel, PacedGoal, joint_of
 from aces_protocols.vesc_uart.spec import FAULTS, VALUES
 
 #: Without a set-point for so long the motor is released (s): the factory's.
 TIMEOUT_S = 1.0
-#: The motor: rad/s at full duty, rad/s a A when nothing holds it, s to follow.
-SPEED, PER_AMPERE = 600.0, 30.0
-DRIVEN_S, PUSHED_S, BRAKED_S, FREE_S = 0.05, 0.5, 0.1, 0.5
+#: The motor: rad/s at full duty, and N·m/A, which is the supply (V) over that.
+SPEED, TORQUE_CONSTANT = 600.0, 0.08
+#: Stiffness (1/rad) and damping (s/rad) of its loops, as shares of what full duty gives at its speed.
+SPEED_LOOP, POSITION_LOOP, BRAKE = (300.0, 20.0), (133.0, 6.6), (0.0, 20.0)
 #: A greater current than this is limited to it, as firmware limits by its settings (A). A choice.
 MOST_CURRENT = 120.0
-#: Volts of the supply; °C.
-SUPPLY, WARM = 48.2, 31.0
+#: Volts of the supply and its resistance (ohm); °C without load, and above which it is in a fault; the least supply (V).
+SUPPLY, RESISTANCE, WARM, HOTTEST, LEAST = 48.2, 0.02, 31.0, 100.0, 12.0
 #: Firmware 6.05 on hardware "60".
 FIRMWARE = {"major": 6, "minor": 5, "hardware": "60", "more": bytes(range(12)) + bytes(7)}
 #: Set-points: message → what the motor does then, and the field that says how much.
@@ -34,15 +36,17 @@ SET_POINTS: Mapping[str, tuple[str, str]] = {
     "SetBrakeCurrent": ("brake", "current"),
     "SetHandbrake": ("hold", "current"),
     "SetSpeed": ("speed", "speed"),  # turns of the field a minute
-    "SetPosition": ("position", "position"),  # of the encoder (°); it is there at once
+    "SetPosition": ("position", "position"),  # of the encoder (°)
 }
 #: How it can misbehave beyond what all twins do; the amount of `trip` is the fault's number.
 MISBEHAVIOUR = {
     "trip": "reports a fault, over_temperature_fet (or the number said), and releases the motor while it lasts",
     "jam": "the motor does not turn, and takes what current it is given",
+    "hot": "the motor is at 120 °C (or as hot as said), and cools: over_temperature_motor until it has",
+    "brown_out": "the supply has 8 V (or as much as said): under_voltage until it is back",
     "deaf": "answers, and takes no set-points",
 }
-TRIP = {"trip": FAULTS["over_temperature_fet"]}
+TRIP = {"trip": FAULTS["over_temperature_fet"], "hot": 120.0, "brown_out": 8.0}
 
 
 class VescModel:
@@ -50,17 +54,20 @@ class VescModel:
 
     def __init__(self, twin: Twin, number: int) -> None:
         self.clock, self.faults, self.number = twin.clock, twin.active_faults, number
-        joint = twin.joints[0] if twin.joints else None
-        self._direction = joint.direction if joint else 1
-        self._zero = (joint.zero or 0.0) if joint else 0.0
-        self._ratio = (joint.ratio if joint else None) or 1.0
+        self.scale = JointScale.of(twin.joints[0] if twin.joints else None)
         self.pole_pairs = int(twin.config.settings.get("pole_pairs", 7))
-        now = self.clock.now()
-        self.motor = TurningWheel(now)
-        if joint is not None:
-            start = self._direction * twin.world.start_of(joint.name) + self._zero
-            self.motor.place(now, start * self._ratio)
-            twin.world.joints[joint.name] = self
+        self.motor = joint_of(
+            twin,
+            MotorModel(
+                speed=SPEED,
+                time_constant=0.083,
+                stall_current=MOST_CURRENT,
+                friction=0.003,
+                heating=0.001,
+                cooling=120.0,
+                torque_constant=TORQUE_CONSTANT,
+            ).behind(self.scale.ratio),
+        )
         #: No two controllers are equally warm (°C).
         self.warm = round(WARM + twin.random.uniform(-3.0, 3.0), 1)
         self._late: Timer | None = None
@@ -69,40 +76,70 @@ class VescModel:
 
     def boot(self) -> None:
         """Boot: released. The motor stays where it is; counters begin at 0."""
-        self._start = self.motor.position(self.clock.now())
+        self._start = self.turned
         self.release()
 
-    def position(self, now: int) -> float:
-        """Return where the joint is (rad)."""
-        return self._direction * (self.motor.position(now) / self._ratio - self._zero)
+    @property
+    def turned(self) -> float:
+        """The motor's angle (rad)."""
+        return self.scale.raw_angle(self.motor.position(self.clock.now()))
+
+    @property
+    def voltage(self) -> float:
+        """The supply (V), which sinks with the current that is drawn."""
+        drawn = max(0.0, self.motor.duty * self.motor.current)
+        return float(self.faults.get("brown_out", SUPPLY)) - RESISTANCE * drawn
 
     @property
     def fault_name(self) -> str:
         """The fault that it reports."""
-        number = round(self.faults.get("trip", 0))
+        if "trip" not in self.faults:
+            if self.motor.temperature > HOTTEST:
+                return "over_temperature_motor"
+            return "under_voltage" if self.voltage < LEAST else "none"
+        number = round(self.faults["trip"])
         return next((name for name, fault in FAULTS.items() if fault == number), "none")
 
     def lead(self) -> None:
         """Have the motor do what the last set-point said."""
-        now, given = self.clock.now(), self.given
-        mode = "free" if "trip" in self.faults else self.mode
-        match mode:
+        now, given, motor, scale = self.clock.now(), self.given, self.motor, self.scale
+        motor.sync(now)
+        motor.jammed = "jam" in self.faults
+        match "free" if self.fault_name != "none" else self.mode:
             case "duty":
-                self.motor.lead(now, SPEED * given, DRIVEN_S)
-            case "current":
-                speed = max(-SPEED, min(SPEED, PER_AMPERE * given))
-                self.motor.lead(now, speed, PUSHED_S if given else FREE_S)
+                motor.drive(now, scale.direction * given)
+            case "current" if given:
+                motor.push(now, scale.direction * given)
             case "speed":
-                self.motor.lead(now, given * tau / 60 / self.pole_pairs, DRIVEN_S)
+                speed = scale.speed(given * tau / 60 / self.pole_pairs)
+                motor.obey(now, self._loop(SPEED_LOOP, None, speed=speed))
             case "position":
-                turn = (given / 360 * tau - self.motor.position(now) + tau / 2) % tau - tau / 2
-                self.motor.place(now, self.motor.position(now) + turn)
-            case "brake" | "hold":
-                self.motor.lead(now, 0.0, BRAKED_S)
+                turned = self.turned
+                turn = (given / 360 * tau - turned + tau / 2) % tau - tau / 2
+                motor.obey(now, self._loop(POSITION_LOOP, scale.angle(turned + turn)))
+            case "brake":
+                motor.obey(now, self._loop(BRAKE, None, abs(given) / MOST_CURRENT))
+            case "hold":
+                motor.obey(now, self._loop(POSITION_LOOP, motor.q, abs(given) / MOST_CURRENT))
             case _:
-                self.motor.lead(now, 0.0, FREE_S)
-        if "jam" in self.faults:
-            self.motor.block(now)
+                motor.free(now)
+
+    def _loop(
+        self, gains: tuple[float, float], goal: float | None, most: float = inf, *, speed: float = 0.0
+    ) -> PacedGoal:
+        """Return the loop that holds a goal (rad) or a speed (rad/s) of the joint with a share of the greatest current."""
+        motor = self.motor
+        usual = 1.0 / motor.motor.speed
+        return PacedGoal(
+            goal=motor.q,
+            target=goal,
+            pace=speed if goal is None else inf,
+            rate=speed,
+            stiffness=gains[0] * usual,
+            damping=gains[1] * usual,
+            limit=most,
+            emf=usual,
+        )
 
     def set(self, request: Record) -> None:
         """Take a set-point."""
@@ -133,35 +170,36 @@ class VescModel:
         self.lead()
 
     def current(self) -> float:
-        """Return the motor current (A), as far as there is one."""
-        if self.fault_name != "none" or self.mode not in ("current", "brake", "hold"):
-            return 0.0
-        if self.mode == "current":
-            return self.given
-        speed = self.motor.speed(self.clock.now())
-        return -self.given if speed > 1.0 else self.given if speed < -1.0 else 0.0
+        """Return the motor current (A)."""
+        self.motor.sync(self.clock.now())
+        return self.scale.direction * self.motor.current
 
     @property
     def values(self) -> dict[str, Any]:
         """Present measurements, by the names of VALUES."""
-        now = self.clock.now()
-        turned = self.motor.position(now)
-        speed = self.motor.speed(now)
+        turned, motor = self.turned, self.motor
+        speed = self.scale.raw_speed(motor.v)
+        if self.fault_name != "none" and motor.mode != "free":
+            self.lead()
         count = round((turned - self._start) / tau * 6 * self.pole_pairs)
+        warm = round(self.warm + (motor.temperature - AMBIENT) / 2, 1)
         found: dict[str, Any] = dict.fromkeys(VALUES, 0)
         found |= {
-            "fet_temperature": self.warm,
-            "motor_temperature": self.warm,
+            "fet_temperature": warm,
+            "motor_temperature": round(self.warm + motor.temperature - AMBIENT, 1),
             "motor_current": self.current(),
-            "duty": max(-1.0, min(1.0, speed / SPEED)),
+            "input_current": motor.duty * motor.current,
+            "duty": max(-1.0, min(1.0, speed / SPEED))
+            if motor.mode == "free"
+            else self.scale.direction * motor.duty,
             "speed": round(speed * 60 / tau * self.pole_pairs),
-            "voltage": SUPPLY,
+            "voltage": self.voltage,
             "tachometer": count,
             "tachometer_abs": abs(count),
             "fault": self.fault_name,
             "position": turned / tau * 360 % 360,
             "controller": self.number,
-            "mosfet_temperatures": [self.warm] * 3,
+            "mosfet_temperatures": [warm] * 3,
         }
         return found
 

@@ -33,12 +33,15 @@ class VescMotorTwin(Twin):
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """See `Twin.fault`."""
         super().fault(name, amount, on=on)
+        if name == "hot" and on:
+            self.model.motor.temperature = self.active_faults.pop("hot")  # from here on it cools
         self.model.lead()
 
     def draw(self, dice: Random, share: float = 1.0) -> None:
         """Have its motor turn, either way, and be warm (°C)."""
         motor = self.model.motor
-        motor.lead(self.clock.now(), dice.uniform(-SPEED, SPEED) * share, 0.001)
+        motor.sync(self.clock.now())
+        motor.v = self.model.scale.speed(dice.uniform(-SPEED, SPEED) * share)
         self.model.warm = round(dice.uniform(-20.0, 110.0) * share, 1)
 
     def power(self, on: bool) -> None:

@@ -1,0 +1,118 @@
+"""A body outside of the twins: what motors move when joints hang together, have weight, and touch the ground.
+
+1. `Physics` is what a simulator offers: torques in; positions, velocities and contacts out; a step is a millisecond.
+2. `MovedBody` is its one clock: whoever asks one motor for its state lets all motors and the body live up to that instant.
+   Nothing is computed before it is asked for, and who asks changes nothing: the same seed is the same run.
+3. SI, by the names and directions of the robot's file: rad, rad/s, N·m (m, m/s, N for joints that slide).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from ..errors import CallerError
+
+#: The step of body and motors (ns).
+STEP_NS = 1_000_000
+
+
+class Contact(NamedTuple):
+    """Two parts that touch, by the simulator's names, and the force between them along the contact's normal (N)."""
+
+    parts: tuple[str, str]
+    force: float
+
+
+class Physics(Protocol):
+    """A simulated body, whose joints are numbered in the order of `joints`; other joints of the robot move by themselves."""
+
+    @property
+    def joints(self) -> Sequence[str]:
+        """Names of its joints, as the robot's file has them."""
+        ...
+
+    @property
+    def positions(self) -> Sequence[float]:
+        """The joints' positions (rad)."""
+        ...
+
+    @property
+    def velocities(self) -> Sequence[float]:
+        """The joints' velocities (rad/s)."""
+        ...
+
+    @property
+    def contacts(self) -> Sequence[Contact]:
+        """The present contacts."""
+        ...
+
+    def fit(self, joint: int, inertia: float, friction: float) -> None:
+        """Put a motor at a joint: the inertia of its rotor at the joint (kg·m²) and its dry friction (N·m)."""
+        ...
+
+    def place(self, joint: int, position: float) -> None:
+        """Put a joint somewhere (rad), at rest."""
+        ...
+
+    def step(self, torques: Sequence[float]) -> None:
+        """Live for a millisecond with these torques of the motors (N·m), one for each joint."""
+        ...
+
+
+class BodyMotor(Protocol):
+    """A motor at a joint of a body."""
+
+    def pull(self, at: int) -> float:
+        """Return its torque (N·m) for the millisecond that ends at `at` (ns)."""
+        ...
+
+    def moved(self, position: float, velocity: float) -> float | None:
+        """Take where the millisecond has led the joint (rad, rad/s); return where a blocked joint stays instead."""
+        ...
+
+
+class MovedBody:
+    """A body and the motors that move it, on one clock. `at` is the last instant that was lived up to (ns)."""
+
+    def __init__(self, physics: Physics, now: int) -> None:
+        self.physics = physics
+        self.at = now - now % STEP_NS
+        self._numbers = {name: number for number, name in enumerate(physics.joints)}
+        if len(self._numbers) != len(physics.joints):
+            raise CallerError(f"physics with a joint twice: {', '.join(physics.joints)}")
+        self._motors: dict[int, BodyMotor] = {}
+        self._torques = [0.0] * len(self._numbers)
+
+    def position_of(self, joint: str) -> float | None:
+        """Return where the body has a joint (rad); None: it has no such joint."""
+        number = self._numbers.get(joint)
+        return None if number is None else float(self.physics.positions[number])
+
+    def add(self, joint: str, motor: BodyMotor, *, inertia: float, friction: float) -> bool:
+        """Have a motor move a joint; return False where the body has no such joint."""
+        number = self._numbers.get(joint)
+        if number is None:
+            return False
+        if number not in self._motors:
+            self.physics.fit(number, inertia, friction)
+        self._motors[number] = motor
+        return True
+
+    def place(self, joint: str, position: float) -> None:
+        """Put a joint somewhere (rad), at rest."""
+        self.physics.place(self._numbers[joint], position)
+
+    def advance(self, now: int) -> None:
+        """Let body and motors live up to `now` (ns)."""
+        physics, torques, motors = self.physics, self._torques, self._motors
+        while self.at + STEP_NS <= now:
+            self.at += STEP_NS
+            for number, motor in motors.items():
+                torques[number] = motor.pull(self.at)
+            physics.step(torques)
+            positions, velocities = physics.positions, physics.velocities
+            for number, motor in motors.items():
+                held = motor.moved(positions[number], velocities[number])
+                if held is not None:
+                    physics.place(number, held)
