@@ -324,17 +324,23 @@ NAME_INFO = """
 """
 
 
-def hubo2() -> Robot:
-    """The Hubo 2 with its neck, without its sensors."""
+def hubo2(*only: str) -> Robot:
+    """The Hubo 2 with its neck, without its sensors; of its joints those that are named, with their boards."""
     from importlib.resources import files
 
     robot = load_robot(str(files("aces_devices") / "robots" / "hubo2.toml"))
 
+    named = {robot.joints[joint].device for joint in only}
+
     def kept(device: DeviceConfig) -> DeviceConfig:
-        return msgspec.structs.replace(device, active=device.driver == "hubo_motor")
+        is_wanted = device.driver == "hubo_motor" and (not only or device.name in named)
+        return msgspec.structs.replace(device, active=is_wanted)
 
     devices = {name: kept(device) for name, device in robot.devices.items()}
-    joints = {name: msgspec.structs.replace(joint, active=True) for name, joint in robot.joints.items()}
+    joints = {
+        name: msgspec.structs.replace(joint, active=devices[joint.device].active)
+        for name, joint in robot.joints.items()
+    }
     return msgspec.structs.replace(robot, devices=devices, joints=joints)
 
 
@@ -360,7 +366,7 @@ def test_hubo_2_is_introduced_as_it_was() -> None:
 
 def test_home_searches_of_hubo_2_are_what_the_robot_was_sent() -> None:
     """Offsets go out high byte first, RWY's with its high bits cut off, as acesHubo sent them (facts, section 5.3)."""
-    with VirtualRobot(hubo2(), load=lambda _: driver) as robot:
+    with VirtualRobot(hubo2("RHY", "REB", "RWY", "RHR"), load=lambda _: driver) as robot:
         recorders = [ListeningNode(wire) for wire in robot.wires.values()]
         jobs = [robot.rig.device(joint).home(joint) for joint in ("RHY", "REB", "RWY")]  # type: ignore[attr-defined]
         for job in jobs:

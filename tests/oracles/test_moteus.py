@@ -278,6 +278,7 @@ def test_its_watchdog_is_the_twins(bench: Bench) -> None:
     bench.run(steps)
 
 
+@pytest.mark.slow
 def test_its_cycle_has_both_controllers(bench: Bench) -> None:
     """A thousand cycles of two controllers: each has both replies, which often arrive in one packet."""
 

@@ -36,7 +36,7 @@ from tests.laws.drawn import columns_agree, drawn_arguments
 from tests.laws.wires import CASES, MIXED, Case
 
 #: Bytes of a scene, or sixteenths of a frame.
-SIZE = 2000
+SIZE = 1200
 #: Cases of a protocol that get a long scene: its first, and some of its other dialects, configurations, directions.
 LONG_CASES = 3 if settings().max_examples > 100 else 1
 

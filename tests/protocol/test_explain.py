@@ -65,7 +65,7 @@ def test_what_is_explained_is_what_scanners_hear(case: Case) -> None:
     """Over drawn wires the attempts are the scanner's records and losses; who is accepted lives, who is not dies."""
     variants = laws.wire_variants(case.wire)
     for seed in range(max(1, WIRES // case.share)):
-        (scene,) = drawn_arguments(LAWS[0], case.wire, case.direction, seed, size=150)
+        (scene,) = drawn_arguments(LAWS[0], case.wire, case.direction, seed, size=100)
         attempts = explained(variants, case.direction, scene)
         scanner = laws.scanner_of(case.wire, case.direction, raw=False)
         assert heard_of(attempts) == laws.scanned_items(scanner, scene)

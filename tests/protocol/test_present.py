@@ -87,9 +87,9 @@ def points() -> Protocol:
     return made
 
 
-test_groups_obey_the_laws = law_tests(groups(), examples=6)
-test_frames_obey_the_laws = law_tests(frames(), examples=6)
-test_points_obey_the_laws = law_tests(points(), examples=6)
+test_groups_obey_the_laws = law_tests(groups(), examples=4)
+test_frames_obey_the_laws = law_tests(frames(), examples=4)
+test_points_obey_the_laws = law_tests(points(), examples=4)
 
 
 def test_every_combination_of_bits() -> None:

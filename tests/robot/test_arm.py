@@ -145,8 +145,10 @@ settings = { every_s = 0.05 }
 """
 
 
-@pytest.mark.parametrize("at_end", ["disable", "hold", "park"])
-@pytest.mark.parametrize("what", ["pressed", "power off"])
+@pytest.mark.parametrize(
+    ("what", "at_end"),
+    [("pressed", "disable"), ("pressed", "hold"), ("pressed", "park"), ("power off", "park")],
+)
 def test_an_e_stop_stops_all_of_them_whatever_the_end_is(example: Any, at_end: Any, what: str) -> None:
     """Pressed, or its module gone: nobody holds or parks, nothing moves."""
     run = run_virtual(arm(more=MODULE + PANEL), [example.wave], at_end=at_end)
@@ -174,8 +176,15 @@ def test_an_e_stop_stops_all_of_them_whatever_the_end_is(example: Any, at_end: A
 SIGNALS = list(dict.fromkeys(way.signal for joint in JOINTS for way in ways_of(joint)))
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize(
+    ("signal", "sign"),
+    [
+        # In turn one direction of each is quick.
+        pytest.param(signal, sign, marks=[] if sign == (-1) ** number else [pytest.mark.slow])
+        for number, signal in enumerate(SIGNALS)
+        for sign in (1, -1)
+    ],
+)
 def test_no_joint_gets_past_its_limits_in_any_mode(signal: str, sign: int) -> None:
     """Pushed outward for two seconds by position, speed, torque, current or duty: v·(poll + reply + tick) + v²/2a.
 

@@ -34,6 +34,7 @@ def test_the_search_for_a_next_packet_is_compared_byte_by_byte() -> None:
         assert check_seek(scanner.framings) is None
 
 
+@pytest.mark.slow
 def test_what_is_proved_of_a_scanner_is_said() -> None:
     """By z3 up to a length, and the whole scanner on sequences of pieces."""
     (outcome,) = StreamJob(load_protocol("minihubo_adc").variant()).prove(60)
@@ -43,6 +44,7 @@ def test_what_is_proved_of_a_scanner_is_said() -> None:
     )
 
 
+@pytest.mark.slow
 def test_what_z3_cannot_prove_is_tried_and_said() -> None:
     """NMEA's check is written as text."""
     (outcome,) = StreamJob(load_protocol("nmea0183").variant()).prove(60)
