@@ -77,6 +77,7 @@ CONTENTS: dict[str, list[str]] = {
         "devices",
         "robots",
         "urdf",
+        "gymnasium",
         "states",
         "controllers",
         "running",

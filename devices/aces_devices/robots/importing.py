@@ -24,6 +24,9 @@ from aces_bus.robot.installed import robot_text
 from . import _hubo_ach, _hubocan
 from ._description import RobotDescription, read_lines
 
+#: A table of a robot's file, and what is in it.
+Tables = dict[str, Any]
+
 
 class ImportedRobot(NamedTuple):
     """A robot, and what is worth saying about how it was read."""
@@ -106,7 +109,7 @@ def _with_body(
         raise CallerError("--base and --device both say what drives the joints: name one")
     joints = {joint: dict(keys) for joint, keys in found.robot_joints(path).items()}
     notes: list[str] = []
-    content: dict[str, Any] = {
+    content: Tables = {
         "name": Path(path).stem.partition(".")[0],
         "buses": {},
         "devices": {},
@@ -149,7 +152,7 @@ def _text_of(base: str) -> str:
         raise CallerError(f"{base}: {getattr(error, 'strerror', None) or error}") from error
 
 
-def _devices_for(joints: Mapping[str, dict[str, Any]], driver: str) -> dict[str, Any]:
+def _devices_for(joints: Mapping[str, Tables], driver: str) -> Tables:
     """Return a bus with a device for each joint, as the driver's example has one; its credentials are numbers from 1."""
     example = tomllib.loads(load_driver(driver).example)
     first = next(entry for entry in example["devices"].values() if entry["driver"] == driver)
@@ -159,7 +162,7 @@ def _devices_for(joints: Mapping[str, dict[str, Any]], driver: str) -> dict[str,
         if key not in ("channel", "interface")
     }
     kept = {key: value for key, value in first.items() if key in ("driver", "model", "dialect", "protocol")}
-    made: dict[str, Any] = {"buses": {"bus": bus}, "devices": {}, "joints": {}, "rate_hz": 100.0}
+    made: Tables = {"buses": {"bus": bus}, "devices": {}, "joints": {}, "rate_hz": 100.0}
     for number, (joint, keys) in enumerate(joints.items(), 1):
         credentials = dict.fromkeys(first.get("credentials", ()), number)
         made["devices"][f"M{number}"] = {**kept, "bus": "bus", "credentials": credentials, "channels": 1}
@@ -185,7 +188,7 @@ def _kind(path: Path) -> str:
     )
 
 
-def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
+def _base(homes: Path, base: str | None, notes: list[str]) -> Tables:
     """Return the file of a robot that ships, which has the joints of a .home table."""
     if base is not None:
         return tomllib.loads(robot_text(base))
