@@ -17,8 +17,9 @@ BUDGETS: dict[str, tuple[int, str]] = {
         "e-stops, stops through the lock, parking, measured limits; formats left for the lab; the language of issue 30",
     ),
     "statements of the kernel": (
-        10_150,
-        "nodes answer what readers ask; fields by bits; names of any kind in errors; two scales, payloads from the header;"
+        10_300,
+        "nodes answer what readers ask; fields by bits, of any mask by one function; names of any kind in errors;"
+        " two scales, payloads from the header;"
         " packets that come by two transports; answers without a head",
     ),
     "public names": (182, "what a check covers of the request; quantities of two scales"),
@@ -29,7 +30,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     ),
     "files in a knot of imports": (16, ""),
     "files that ask nodes for their class": (12, ""),
-    "bases with one subclass": (22, ""),
+    "bases with one subclass": (23, "the fetching and the decoder of fields by bits"),
     "test files that import the inside": (86, "tests of what landed beside it"),
     "times that Any is written": (3_600, "proofs run generated text on values of any kind; tables of specs"),
     "docstrings that begin with a riddle": (0, ""),

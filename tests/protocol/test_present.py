@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from itertools import product
 from typing import Any
@@ -10,7 +11,6 @@ import pytest
 from construct import (
     Array,
     Byte,
-    Bytes,
     Float32l,
     GreedyBytes,
     GreedyRange,
@@ -26,12 +26,6 @@ from aces_bus import Frame
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, Sum, bits
 from aces_bus.testing import law_tests
-
-
-@pytest.fixture(autouse=True, params=[0, 2])
-def rare(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every shape has its printed decoder at once, or when it has come twice."""
-    monkeypatch.setattr("aces_bus.protocol.generate.shapes.RARE", request.param)
 
 
 def groups() -> Protocol:
@@ -210,16 +204,20 @@ def test_what_cannot_be_there_by_bits() -> None:
         wire.framing(sync=b"!", header=Struct("a" / Byte, "b" / Byte), size=this.a * this.b + 4, max_size=9)
 
 
-def test_shapes_are_bounded() -> None:
-    """Masks of any value cost no memory without end: the oldest shapes go."""
-    from aces_bus.protocol.declare import shapes
+def test_masks_that_never_repeat_cost_no_memory_without_end() -> None:
+    """Each value of sixteen bits is decoded, by two tables of eight bits each."""
+    from aces_bus.protocol.generate.shapes import ByBitsDecoder
 
     made = Protocol("many", link="serial")
     packet = made.framing(sync=b"$", header=Struct("m" / Int16ul), size="fields", max_size=40)
-    packet("M", payload=Struct(*(f"x{n}" / Present("m", n, Bytes(1)) for n in range(16))))
-    found = shapes.Shapes(made["M"])
-    for number in range(3 * shapes.MOST):
-        shape = found.of(b"$" + struct.pack("<H", number) + bytes(16))
-        assert shape is not None
-        assert shape.size == number.bit_count()
-    assert len(found.root.found) <= shapes.MOST + 1  # type: ignore[union-attr]
+    packet("M", payload=Struct(*(f"x{n}" / Present("m", n, Byte) for n in range(16))))
+    scanner = made.scanner()
+    for mask in random.Random(3).sample(range(1 << 16), 3000):
+        fields = random.Random(mask).randbytes(mask.bit_count())
+        (record,) = scanner.feed(b"$" + struct.pack("<H", mask) + fields)
+        values = iter(fields)
+        for n in range(16):
+            assert getattr(record, f"x{n}") == (next(values) if mask >> n & 1 else None)
+    printed = ByBitsDecoder(made["M"], raw=False)
+    printed.print()
+    assert [len(found) for found in printed.module.bound.values() if isinstance(found, list)] == [256, 256]

@@ -39,13 +39,6 @@ from aces_bus.testing.packets import UndrawableError, draw_packet
 from aces_bus.testing.scenes import Scene
 from aces_bus.testing.source import Dice
 
-
-@pytest.fixture(autouse=True, params=[0, 2])
-def rare(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every shape has its printed decoder at once, or when it has come twice."""
-    monkeypatch.setattr("aces_bus.protocol.generate.shapes.RARE", request.param)
-
-
 #: Drawn layouts; most of them take their time.
 SEEDS = [*range(5), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(5, 60))]
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
@@ -93,7 +86,7 @@ def fields_by_bits(source: random.Random, *, head: str | None, is_open: bool) ->
     masks = [head] if head is not None else []
     items: list[Construct] = [f"before{n}" / fixed_field(source) for n in range(source.randint(0, 2))]
     for n in range(source.randint(1, 2) if masks else source.randint(1, 3)):
-        mask: Construct = source.choice([Byte, Int16ul, Int64ul, Flags(Byte, one=0, two=1)])
+        mask: Construct = source.choice([Byte, Int16ul, Int24ub, Int64ul, Flags(Byte, one=0, two=1)])
         items.append(f"mask{n}" / (Present(masks[-1], source.randint(0, 7), mask) if masks else mask))
         masks.append(f"mask{n}")
     for n in range(source.randint(1, 7)):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..declare.fields import Present, innermost, wire_number
+from ..declare.fields import Present
 from ..declare.shapes import Shapes
 from ..live.find import number_at
 from ..plan import nodes as p
@@ -37,11 +37,7 @@ class FieldPlaces:
         self.names = [item.name for item, _ in shapes.items]
         self.sizes = shapes.sizes
         self.start = shapes.message.payload_start
-        self._heads = [head for head in shapes.message.heads_written if head.name in shapes.masks]
-        self._wires = [
-            wire_number(innermost(body)) if name in shapes.masks else None
-            for name, body in zip(self.names, shapes.bodies, strict=True)
-        ]
+        self._heads, self._wires = shapes.heads, shapes.wires
         self._present = [body if isinstance(body, Present) else None for _, body in shapes.items]
         #: Narrow numbers, if they do, are quicker.
         self._dtype = np.uint16 if self.start + sum(size for size, _ in self.sizes) < 1 << 16 else np.int64

@@ -264,12 +264,9 @@ class Decoder(FunctionSetup):
         raw: bool,
         guard: bool = True,
         names: NameScope | None = None,
-        whole: Sequence[str] | None = None,
         result: Callable[[str], str] | None = None,
     ) -> None:
         self.plan, self.result = plan, result
-        #: The fields of the record; those that the plan does not have are None.
-        self.whole = whole if whole is not None else [field.name for field in plan.fields]
         self.raw = raw
         self.guard = guard
         self.setup = []
@@ -333,14 +330,13 @@ class Decoder(FunctionSetup):
             out.line(f"return {self.result(self._value(plan.fields[0]))}")
             return
         made = self._type(plan.name)
-        values = {field.name: self._value(field) for field in plan.fields}
-        arguments = [values.get(name, "None") for name in self.whole]
+        arguments = [self._value(field) for field in plan.fields]
         if sum(map(len, arguments)) + len(plan.name) < 60:
             out.line(f"return {made}({', '.join([*arguments, TRANSPORT])})")
         else:
             out.line(f"return {made}(")
-            for name, argument in zip(self.whole, arguments, strict=True):
-                out.line(f"    {argument},  # {name}")
+            for field, argument in zip(plan.fields, arguments, strict=True):
+                out.line(f"    {argument},  # {field.name}")
             out.lines(
                 f"    {TRANSPORT},",
                 ")",
@@ -457,7 +453,7 @@ class Decoder(FunctionSetup):
                 if scalar.size is not None
                 else (f"-{self.plan.tail}" if self.plan.tail else "")
             )
-            text = f"data[{scalar.offset}:{end}]"
+            text = self.fetch.named.get(scalar) or f"data[{scalar.offset}:{end}]"
             if scalar.kind == "bytes" or self.raw:
                 return text
             text = f'{text}.decode("latin-1")'

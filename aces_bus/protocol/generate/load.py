@@ -6,12 +6,13 @@ import keyword
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, TypeVar
 
 import msgspec
-from construct import ConstructError, Struct
+from construct import ConstructError
 
 from ...errors import AcesError
 from ..declare.delimited import degrees
@@ -19,10 +20,11 @@ from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import key_image
 from ..declare.protocol import Variant
-from ..declare.shapes import PayloadShape, Shapes, has_shapes
+from ..declare.shapes import has_shapes
 from ..plan import nodes as p
+from ..plan.flatten import NotFlat
 from ..record import Part, Record, from_container, plain_value
-from .decode import ARGUMENTS, CALLED, Decoder, ListDecoder
+from .decode import CALLED, Decoder, ListDecoder
 from .source import NameScope, SourceText, comment_line
 from .source import load_source as load_source
 
@@ -207,11 +209,8 @@ def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapp
 
     def made(name: str) -> Decode:
         message = variant.messages[name]
-        if has_shapes(message):
-            return _by_shape(variant, message, raw=raw)
-        printed = Decoder(message.plan, raw=raw, guard=guard)
-        source = print_decoder(printed)
         types = _types(variant)[name]
+        printed, source = _printed(message, types, raw=raw, guard=guard)
         names = {**_CALLED, **printed.module.bound}
         names |= {called: types[kind] for called, kind in printed.types.items()}
         if printed.opaque:
@@ -224,40 +223,18 @@ def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapp
     return OnDemand(made)
 
 
-def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
-    """Return a decode function for fields that are there by bits: each shape that comes often has a generated one of its
-    own, which makes the record of the whole message, None where a field is not there; others go through construct.
-    """
-    from .shapes import by_shape
+def _printed(message: Message, types: Mapping[str, Any], *, raw: bool, guard: bool) -> tuple[Decoder, str]:
+    """Return the printer of a message's decode function, and the text."""
+    if has_shapes(message):
+        from .shapes import ByBitsDecoder
 
-    label = f"aces {variant.label} {'raw ' if raw else ''}decoders: {message.name}"
-    arguments = ARGUMENTS + (", request=None" if message.request_fields else "")
-    found: Decode = by_shape(
-        Shapes(message),
-        arguments,
-        label,
-        lambda shape, number: _of_shape(variant, message, shape, f"{label}, shape {number}", raw=raw),
-        _opaque(message, variant, raw=raw),
-    )
-    return found
-
-
-def _of_shape(variant: Variant, message: Message, shape: PayloadShape, label: str, *, raw: bool) -> Decode:
-    """Return the decode function of one shape; through construct where it has no flat form."""
-    types = _types(variant)[message.name]
-    part = message.with_payload(Struct(*shape.items))
-    if part.lengths is not None and not part.lengths:
-        return lambda *_: None  # no frame has these fields
-    printed = Decoder(part.plan, raw=raw, whole=message.fields)
-    source = print_decoder(printed)
-    if printed.opaque or any(kind not in types for kind in printed.types.values()):
-        return _opaque(message, variant, raw=raw)
-    names = {**_CALLED, **printed.module.bound}
-    names |= {called: types[kind] for called, kind in printed.types.items()}
-    if printed.holds:
-        names[printed.holds] = _holds(part)
-    decode: Decode = load_source(source, label, names)[printed.function]
-    return decode
+        with suppress(NotFlat):
+            by_bits = ByBitsDecoder(message, raw=raw)
+            source = print_decoder(by_bits)
+            if all(kind in types for kind in by_bits.types.values()):
+                return by_bits, source
+    printed = Decoder(message.plan, raw=raw, guard=guard)
+    return printed, print_decoder(printed)
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:

@@ -210,7 +210,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         head = framing.affine.length
         flags = framing.affine.flags
         _more(out, f"end - i < {framing.affine.reach if flags is not None else head.offset + head.size}")
-        length = _number_of(head)
+        length = candidate_number(head)
         factor = f"{framing.affine.factor} * " if framing.affine.factor != 1 else ""
         constant, wide, escape = framing.affine.constant, framing.affine.wide, framing.affine.escape
         if wide is not None:
@@ -221,7 +221,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
             out.line(f"size = {factor}{length} + {constant}")
             if flags is not None:
                 out.lines(
-                    f"if {_number_of(flags)} & {framing.affine.mask:#x}:",
+                    f"if {candidate_number(flags)} & {framing.affine.mask:#x}:",
                     f"    size += {framing.affine.more}",
                 )
         else:
@@ -230,7 +230,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
                 f"if size < {escape}:",
                 f"    size = {factor}size + {constant}",
                 "else:",
-                f"    wide = {_number_of(wide)}",
+                f"    wide = {candidate_number(wide)}",
                 f"    size = {factor}wide + {constant + wide.size} if size == {escape} <= wide else 0",
             )
         out.lines(
@@ -268,7 +268,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         _wait(out)
 
 
-def _number_of(head: Head) -> str:
+def candidate_number(head: Head) -> str:
     """Return the number in these bytes of the candidate at `i`, as an expression."""
     if head.size == 1:
         return f"buffer[i + {head.offset}]"
