@@ -213,6 +213,13 @@ def test_a_package_lists_what_it_exports() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_every_module_can_be_imported() -> None:
+    """No module needs another to have been imported before, or something that is not there."""
+    for name, _, _ in sources():
+        if not name.endswith("__main__"):
+            import_module(name)
+
+
 def test_the_root_is_complete() -> None:
     """`dir(aces_bus)` has every public name, before and after its use."""
     assert set(aces_bus.__all__) <= set(dir(aces_bus))

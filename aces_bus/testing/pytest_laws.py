@@ -69,7 +69,7 @@ def law_tests(
 
     Raises `CallerError` when there is no such protocol.
     """
-    here = Path(inspect.stack()[1].filename).parent
+    here = Path(inspect.stack(0)[1].filename).parent
     protocol, name = _protocol(spec, here)
     chosen = set(laws)
     if unknown := chosen - {law.number for law in LAWS}:
