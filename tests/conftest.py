@@ -116,7 +116,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collect_file(file_path: Path) -> Generator[None, Any, Any]:
-    """Leave out the doctests of a file without any: looking for them through all that it has takes longer than reading it."""
+    """Leave out the doctests of a file without any: looking for them takes longer than reading it."""
     found: list[Any] = yield
     if any(isinstance(one, DoctestModule) for one in found) and b">>>" not in file_path.read_bytes():
         return [one for one in found if not isinstance(one, DoctestModule)]

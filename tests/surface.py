@@ -71,17 +71,21 @@ def imported_names(source: str, root: Path = ROOT) -> Iterator[tuple[int, str, s
     """Yield line, module and name of all that a source imports of `aces_bus`; the name is "" of a module whose names are not
     used.
     """
+    if "aces_bus" not in source:
+        return
     tree = ast.parse(source)
+    imports = [node for node in statements(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
     used: dict[str, set[str]] = defaultdict(set)
-    for node in ast.walk(tree):
+    # What is used of modules is inside expressions, which are most of a file: looked for where one is imported whole.
+    for node in ast.walk(tree) if any(_is_of_module(node, root) for node in imports) else ():
         if isinstance(node, ast.Attribute) and (chain := _dotted(node.value)):
             used[chain].add(node.attr)
-    for node in ast.walk(tree):
+    for node in imports:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.split(".")[0] == "aces_bus":
                     yield from _of_module(node.lineno, alias.name, used[alias.asname or alias.name], root)
-        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+        elif not node.level and node.module:
             if node.module.split(".")[0] == "aces_bus":
                 for alias in node.names:
                     whole = f"{node.module}.{alias.name}"
@@ -89,6 +93,23 @@ def imported_names(source: str, root: Path = ROOT) -> Iterator[tuple[int, str, s
                         yield from _of_module(node.lineno, whole, used[alias.asname or alias.name], root)
                     else:
                         yield node.lineno, node.module, alias.name
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield all statements inside a node, however deep; what is inside an expression is not looked at."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.stmt | ast.ExceptHandler | ast.match_case):
+            yield child
+            yield from statements(child)
+
+
+def _is_of_module(node: ast.Import | ast.ImportFrom, root: Path) -> bool:
+    """Return whether an import gives a module of `aces_bus` a name."""
+    if isinstance(node, ast.Import):
+        return any(alias.name.split(".")[0] == "aces_bus" for alias in node.names)
+    return (node.module or "").split(".")[0] == "aces_bus" and any(
+        module_path(f"{node.module}.{alias.name}", root) is not None for alias in node.names
+    )
 
 
 def _of_module(line: int, module: str, names: Iterable[str], root: Path) -> Iterator[tuple[int, str, str]]:

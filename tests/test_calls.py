@@ -33,6 +33,7 @@ LEFT_OUT = {
     "as_dict": "takes a record, which only scanners make",
     "Controller.step": "raises what a controller's author left out: NotImplementedError",
     "AcesBus": "joins a bus of this process, which other tests use",
+    "Fuzzer.run": "judges as many examples as it is told, which may be any number",
     "Loop.start": "starts a thread",
     "MotorDevice": "the base of drivers, which say what it asks for",
     "PacketSender": "takes a gate that is open",

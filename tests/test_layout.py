@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from tests.house import KERNEL, SMALLEST
+from tests.surface import statements
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -103,19 +104,11 @@ def module_name(path: Path) -> tuple[str, bool]:
     raise ValueError(path)
 
 
-def _statements(node: ast.AST) -> Iterator[ast.AST]:
-    """All statements inside a node, however deep; what is inside an expression is not looked at."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.stmt | ast.ExceptHandler | ast.match_case):
-            yield child
-            yield from _statements(child)
-
-
 def imports_of(source: str, module: str, is_package: bool = False) -> Iterator[tuple[int, str]]:
     """Line and dotted name of all that a module imports; `from a import b` gives `a.b`, as `b` may be a module."""
     package = module.split(".") if is_package else module.split(".")[:-1]
     # Calls that import are inside expressions, which are most of a file: they are looked through where one is named.
-    nodes = ast.walk if "import_module" in source or "__import__" in source else _statements
+    nodes = ast.walk if "import_module" in source or "__import__" in source else statements
     for node in nodes(ast.parse(source)):
         if isinstance(node, ast.Import):
             for alias in node.names:
