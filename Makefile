@@ -116,16 +116,17 @@ test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries again
 
 # LeRobot asks for far more than its bus class imports: that alone is installed, with PyTorch (TORCH names another build of it).
 LEROBOT := $(VENV)-lerobot
-TORCH ?= torch
+TORCH ?= torch torchvision
 $(LEROBOT)/.python: pyproject.toml
 	$(PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps 'lerobot==0.4.4'
-	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check $(TORCH) accelerate datasets deepdiff draccus \
-		dynamixel-sdk feetech-servo-sdk termcolor tqdm --editable '.[testing]'
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check $(TORCH) accelerate av datasets deepdiff diffusers \
+		draccus dynamixel-sdk einops feetech-servo-sdk gymnasium imageio jsonlines opencv-python-headless 'rerun-sdk<0.27' \
+		termcolor tqdm --editable '.[testing]' --editable tools/lerobot_robot_aces
 	@touch $@
 
-test-lerobot: $(LEROBOT)/.python ## LeRobot's own bus classes with our twins (1.3 GB with a PyTorch without CUDA)
-	$(LEROBOT)/bin/python -m pytest tests/oracles/test_lerobot.py --override-ini 'addopts=--import-mode=importlib' $(ARGS)
+test-lerobot: $(LEROBOT)/.python ## LeRobot's bus classes with our twins, its programs with our robots (2 GB with a PyTorch without CUDA)
+	$(LEROBOT)/bin/python -m pytest tests/oracles/test_lerobot.py tests/oracles/test_lerobot_plugin.py --override-ini 'addopts=--import-mode=importlib' $(ARGS)
 
 $(VENV)/.urdf: $(VENV)/.dev
 	@echo "installing pinocchio and public models of robots into $(VENV) (once, 170 MB)"

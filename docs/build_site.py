@@ -84,6 +84,7 @@ CONTENTS: dict[str, list[str]] = {
         "estop",
         "logging",
         "foxglove",
+        "lerobot",
         "ros2",
         "twins",
         "physics",

@@ -64,7 +64,10 @@ class Session:
         controllers: Sequence[ControllerLike],
         loggers: Sequence[Logger],
         rate_hz: float,
+        *,
+        verb: str = "run",
     ) -> None:
+        self.verb = verb
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
         self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
@@ -154,7 +157,7 @@ class Session:
         """Run, and say how it was; the exit status."""
         with ExitStack() as stack:
             stack.enter_context(self.patience)
-            view = stack.enter_context(live_view("run", self.arguments, self.title))
+            view = stack.enter_context(live_view(self.verb, self.arguments, self.title))
             if view is not None:
                 self.controllers += view.controllers(self.robot, self.rate_hz, self.controllers)
             runner = self._make(stack, self._live_states(view))
