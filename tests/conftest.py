@@ -81,6 +81,9 @@ SLOW_CASES = frozenset(
         "test_a_garbled_request_does_not_make_a_twin_deaf[qik]",
         "test_a_hostile_stream_reads_the_same_as_columns[pololu_qik-both]",
         "test_cantools_decodes_what_we_decode[hubo:D08@hubo2]",
+        "test_cantools_decodes_what_we_decode[hubo:D12@hubo2plus]",
+        "test_every_packet_of_pymavlink_is_decoded_value_for_value[v1]",
+        "test_every_packet_of_pymavlink_is_decoded_value_for_value[v2]",
         "test_every_kind_of_framing_and_check[ubx]",
         "test_every_truncation[pcapng]",
         "test_recordings_of_others[mip-imu.part.bin-1328-24]",
@@ -89,6 +92,8 @@ SLOW_CASES = frozenset(
         "test_signals_that_change_have_lanes[png]",
         "test_they_move_and_stop[feetech]",
         "test_what_broke_a_twin_once[odrive-SetNodeId]",
+        "test_what_is_explained_is_what_scanners_hear[rplidar:express-both]",
+        "test_what_is_explained_is_what_scanners_hear[rplidar:express-from_device]",
     }
 )
 

@@ -388,6 +388,10 @@ def _recover(robot: VirtualRobot, device: Device) -> None:
     _until(robot, is_back)
 
 
+#: What events say where two devices answer to one number.
+OF_A_SECOND: Final = ("duplicate reply", "two devices", "malformed", "garbled", "silent", "late reply")
+
+
 def check_two_of_one(stand: TestBench) -> None:
     """Check that a second device with the same number is noticed, and survived."""
     with stand.made() as robot:
@@ -398,19 +402,15 @@ def check_two_of_one(stand: TestBench) -> None:
         for twin in double.twins.values():
             twin.reply_delay_ns += 200_000
         errors, before = _bus_errors(robot), dict(robot.events.counts)
+
+        def is_noticed() -> bool:
+            return not _kinds_since(robot, before).isdisjoint(OF_A_SECOND) or _bus_errors(robot) > errors
+
         double.open()
-        robot.advance(SETTLE_S)
+        _until(robot, is_noticed)
         double.close()
-        noticed = _kinds_since(robot, before) & {
-            "duplicate reply",
-            "two devices",
-            "malformed",
-            "garbled",
-            "silent",
-            "late reply",
-        }
-        assert noticed or _bus_errors(robot) > errors, "no event says that there is a second device"
-        robot.advance(SETTLE_S)
+        assert is_noticed(), "no event says that there is a second device"
+        _until(robot, lambda: not any(device.is_silent for device, _ in stand.mine(robot)))
         for device, _ in stand.mine(robot):
             assert not device.is_silent, f"{device.name} is silent after the second one has gone"
 

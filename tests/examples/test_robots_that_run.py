@@ -165,6 +165,7 @@ def test_the_arm(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     assert [line.partition(":")[0] for line in left[3:]] == ["M1", "M2", "D4"]
 
 
+@pytest.mark.slow
 def test_the_rover(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """It finds its heading, comes to each place, and stands while its receiver has no fix."""
     near, blind = names_of("rover.py")["main"]([(2.0, 0.0), (2.0, 2.0)], lost_s=1.0)

@@ -77,6 +77,7 @@ def filled(value: Any, dice: random.Random) -> Any:
     return value
 
 
+@pytest.mark.slow
 def test_every_message_type_byte_for_byte(bus: can.BusABC, node: Any) -> None:
     """All types of dronecan's own list, short and long, several of each: the bytes are those that it serialized."""
     types = [

@@ -33,6 +33,7 @@ def exported(dialect: str) -> Any:
     return cantools.database.load_string(text, "dbc", strict=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dialect", "text", "signals"), PUBLISHED)
 def test_our_database_reads_the_published_frames(dialect: str, text: str, signals: dict[str, object]) -> None:
     """cantools decodes them by our export as ODrive says they mean."""

@@ -28,6 +28,7 @@ from construct import (
     len_,
     this,
 )
+from hypothesis import settings
 
 from aces_bus import Frame, FrameTable, make_column_scanner
 from aces_bus.errors import SpecError
@@ -40,7 +41,13 @@ from aces_bus.testing.scenes import Scene
 from aces_bus.testing.source import Dice
 
 #: Drawn layouts; most of them take their time.
-SEEDS = [*range(5), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(5, 60))]
+SEEDS = [
+    *range(3),
+    *(
+        pytest.param(seed, marks=pytest.mark.slow)
+        for seed in range(3, 60 if settings().max_examples > 100 else 20)
+    ),
+]
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 

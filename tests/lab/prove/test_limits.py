@@ -36,6 +36,7 @@ class Hog:
         return [outcome]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "reason"),
     [
