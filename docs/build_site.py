@@ -25,7 +25,7 @@ from typing import Any
 
 from aces_bus import list_protocols, load_protocol
 from aces_bus.protocol.draw.svg import picture_svg
-from aces_bus.protocol.exchange import print_markdown
+from aces_lab.exchange import print_markdown
 from aces_tools.main import parser_of
 from aces_tools.proofs import badge_text, read_badges
 from aces_tools.verbs import summary_of, verbs

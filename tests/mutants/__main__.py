@@ -57,7 +57,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "generate": ("aces_bus/protocol/generate",),
     "live": ("aces_bus/protocol/live",),
     "columns": ("aces_bus/protocol/columns", "aces_bus/frame_table.py"),
-    "exchange": ("aces_bus/protocol/exchange",),
+    "exchange": ("aces_bus/protocol/exchange", "tools/aces_lab/exchange"),
     "recordings": ("aces_bus/recordings", "tools/aces_lab/formats"),
     "export": ("aces_bus/export",),
     "hardware": ("aces_bus/hardware",),

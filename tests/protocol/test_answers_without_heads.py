@@ -11,7 +11,6 @@ from construct import Byte, Const, Int16ub, Int32ub, Struct
 
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Crc, Protocol, Quantity, RequestBytes, Slip, Text
-from aces_bus.protocol.exchange import print_c_source, print_dissector, print_markdown
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.testing import law_tests
 
@@ -166,6 +165,8 @@ def test_a_framing_that_holds_back_others_is_found() -> None:
 
 def test_exports_say_what_they_leave_out() -> None:
     """C leaves such answers out, a dissector does not verify their checks; tables of people say what is covered."""
+    from aces_lab.exchange import print_c_source, print_dissector, print_markdown
+
     variant = claw().variant()
     left_out = {loss.message: loss.reason for loss in print_c_source(variant).losses}
     assert {"Count", "Volts", "Version"} <= set(left_out)

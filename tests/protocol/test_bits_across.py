@@ -14,7 +14,7 @@ from aces_bus.errors import AcesError, FieldError, SpecError
 from aces_bus.protocol import BitLayout, Crc, Enumeration, Protocol, Quantity, Split, TwoScales, bits
 from aces_bus.protocol.draw.table import field_table
 from aces_bus.protocol.draw.text import picture
-from aces_bus.protocol.exchange import print_c_source, print_dbc, print_dissector
+from aces_bus.protocol.exchange import print_dbc
 from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.testing import law_tests
 from aces_tools.output.shape import plain_of
@@ -205,6 +205,8 @@ def test_any_bit_may_choose() -> None:
 
 def test_exports_say_what_they_leave_out() -> None:
     """Formats that have one scale a signal show the raw number, without the unit, and say so."""
+    from aces_lab.exchange import print_c_source, print_dissector
+
     made = Protocol("car", link="can", source="made up")
     height = TwoScales(Int16ul, (0.1, -1000), (1, 0), unit="m")
     made.message("Height", id=0x10, direction="from device", payload=Struct("height" / height))

@@ -30,8 +30,8 @@ from aces_bus.testing.strategies import protocols
 from aces_protocols.canopen.spec import canopen
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
+from tests.lab.exchange.test_export_wireshark import drawn, value_at
 from tests.protocol.test_dbc_equal import databases
-from tests.protocol.test_export_wireshark import drawn, value_at
 from tests.specs.catalogue import SPECS
 from tests.tools.test_spec_import import run_source
 

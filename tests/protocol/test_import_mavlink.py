@@ -15,11 +15,12 @@ from construct import Byte, Struct, this
 from aces_bus import make_scanner
 from aces_bus.errors import CallerError, FieldError, SpecError
 from aces_bus.protocol import Crc, CutZeros, Protocol, Trailer
-from aces_bus.protocol.exchange import load_database, print_dissector
+from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.testing import LAWS
+from aces_lab.exchange import print_dissector
+from tests.lab.exchange.test_export_wireshark import compare, needs_tshark, pcap_file, tshark
 from tests.laws.drawn import drawn_arguments
-from tests.protocol.test_export_wireshark import compare, needs_tshark, pcap_file, tshark
 
 FOLDER = Path(__file__).parents[1] / "data" / "mavlink"
 

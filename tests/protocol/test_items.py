@@ -47,7 +47,7 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.draw.table import field_table
 from aces_bus.protocol.draw.text import draw_text
-from aces_bus.protocol.exchange import print_dbc, print_dissector
+from aces_bus.protocol.exchange import print_dbc
 from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.protocol.reference import Reference
 from tests.tools.conftest import Aces
@@ -389,6 +389,8 @@ def test_on_can_the_frame_bounds_the_list() -> None:
 
 def test_drawings_tables_and_types_see_inside() -> None:
     """The picture has a panel a kind, the table and the stub a line a value, the dissector a tree an item."""
+    from aces_lab.exchange import print_dissector
+
     protocol = tlv()
     message = protocol.variant()["M"]
     picture = "\n".join(draw_text(message.plan))

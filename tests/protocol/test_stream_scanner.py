@@ -11,7 +11,6 @@ from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
 from aces_bus import Frame, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Counter, Crc, IdField, InvertedSum, Protocol
-from aces_bus.protocol.exchange import print_dissector
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.reference import Reference
 from aces_protocols.robotis.spec import robotis
@@ -239,6 +238,8 @@ def test_a_counter_in_the_header_counts_packets_of_all_messages() -> None:
 
 def test_directions_are_said_in_either_words() -> None:
     """The command line's short words mean the same in Python, and a word that says no direction is refused everywhere."""
+    from aces_lab.exchange import print_dissector
+
     reply = bytes.fromhex("FFFF01020AF2")
     for long, short in (("from device", "from"), ("to device", "to"), ("both", "both")):
         given: tuple[Any, ...] = (long, short)

@@ -11,7 +11,6 @@ from construct import Byte, GreedyBytes, Struct
 from aces_bus import make_column_scanner
 from aces_bus.errors import FieldError
 from aces_bus.protocol import Check, Crc, Protocol, Sum, Xor
-from aces_bus.protocol.exchange import print_dissector
 from aces_bus.protocol.reference import Reference
 from aces_protocols.nmea0183.spec import nmea0183
 
@@ -88,6 +87,8 @@ def test_a_line_feed_alone_reads_as_the_whole_end_and_is_never_written() -> None
 
 def test_exports_say_what_they_leave_out() -> None:
     """Wireshark's dissector looks for the whole end alone, and says so."""
+    from aces_lab.exchange import print_dissector
+
     _, losses = print_dissector(nmea0183.variant())
     assert "packets that 0A alone closes are not found" in " ".join(map(str, losses))
 

@@ -1,7 +1,6 @@
 """Protocols in and out of other tools' files.
 
-In: DBC, KCD, SYM, ARXML (through cantools), and other databases by entry point. Out: DBC, a Wireshark dissector, C, pages in
-Markdown, and a protocol as spec source.
+In: DBC, KCD, SYM, ARXML (through cantools), and other databases by entry point. Out: DBC, and a protocol as spec source.
 
 1. What a file of the other kind cannot say is reported: an `ImportProblem` or a `Loss` each, never silence.
 2. Exporters do no I/O; text of others (names, comments, units) reaches printed source as literals only.
@@ -26,11 +25,8 @@ from ...plugins import installed_items
 from .problems import ImportedProtocol
 
 if TYPE_CHECKING:
-    from .export_c import print_c_source
     from .export_dbc import print_dbc
-    from .export_markdown import print_markdown
     from .export_source import print_source
-    from .export_wireshark import print_dissector
 
 
 class DatabaseFormat(NamedTuple):
@@ -85,20 +81,14 @@ def load_database(path: str | os.PathLike[str]) -> ImportedProtocol:
 
 __all__ = [
     "load_database",
-    "print_c_source",
     "print_dbc",
-    "print_dissector",
-    "print_markdown",
     "print_source",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        ".export_c": "print_c_source",
         ".export_dbc": "print_dbc",
-        ".export_markdown": "print_markdown",
         ".export_source": "print_source",
-        ".export_wireshark": "print_dissector",
     },
 )

@@ -3,7 +3,7 @@
 1. A field's own bits take all numbers up to 16 bits, beyond them corners and drawn numbers; all other bits are 0, 1 and
    drawn.
 2. What C reads is compared with the generated decoder's raw integers. Packing, floats and packets of streams are compared by
-   `tests/protocol/test_export_c.py`, on drawn packets.
+   `tests/lab/exchange/test_export_c.py`, on drawn packets.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from aces_bus.protocol import Record, Variant
-from aces_bus.protocol.exchange import print_c_source
-from aces_bus.protocol.exchange.c_fields import CField
-from aces_bus.protocol.exchange.export_c import CMessage
 from aces_bus.protocol.generate.load import decoders_of
+from aces_lab.exchange import print_c_source
+from aces_lab.exchange.c_fields import CField
+from aces_lab.exchange.export_c import CMessage
 
 from .account import Outcome
 from .columns import accepted_packet, field_rows, with_constants
@@ -131,7 +131,7 @@ def _compared(variant: Variant, number: int, printed: CMessage, folder: Path) ->
             if len(bits) > 16:
                 outcome.add("C", "sampled", "fields of more than 16 bits: corners and drawn numbers")
     if message.framing is not None:
-        outcome.add("C", "sampled", "packets of streams are compared by tests/protocol/test_export_c.py")
+        outcome.add("C", "sampled", "packets of streams are compared by tests/lab/exchange/test_export_c.py")
         return outcome
     key = base.key or 0
     head = number.to_bytes(4, "little") + (key & 0x1FFF_FFFF).to_bytes(4, "little")

@@ -9,8 +9,8 @@ from construct import Byte, Struct
 
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
 from aces_bus.protocol.draw.table import captured_values, field_table
-from aces_bus.protocol.exchange import print_markdown
 from aces_bus.protocol.plan.flatten import flatten
+from aces_lab.exchange import print_markdown
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis

@@ -28,12 +28,10 @@ from collections.abc import Sequence
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.exchange import print_c_source, print_dbc, print_dissector, print_markdown
-from aces_bus.protocol.exchange.export_wireshark import Way
+from aces_bus.protocol.exchange import print_dbc
 from aces_bus.protocol.exchange.problems import Loss
-
-from ..console import check_suffix, print_json, say, say_note, write_text
-from ..options import (
+from aces_tools.console import check_suffix, print_json, say, say_note, write_text
+from aces_tools.options import (
     DIRECTION,
     JSON,
     MESSAGE,
@@ -44,7 +42,11 @@ from ..options import (
     argument,
     at_least,
 )
-from ..protocols_arg import named_protocol
+from aces_tools.protocols_arg import named_protocol
+
+from .export_c import print_c_source
+from .export_markdown import print_markdown
+from .export_wireshark import Way, print_dissector
 
 SUMMARY = "write a DBC, a Wireshark dissector, C source, a page"
 

@@ -19,13 +19,16 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
-from ..declare.bits import whole_bits
-from ..declare.fields import ROUNDING_ERROR
-from ..declare.head import Head
-from ..declare.message import Message
-from ..declare.pattern import IdField
-from ..declare.protocol import Variant
-from ..plan import nodes as p
+from aces_bus.protocol.declare.bits import whole_bits
+from aces_bus.protocol.declare.fields import ROUNDING_ERROR
+from aces_bus.protocol.declare.head import Head
+from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.declare.pattern import IdField
+from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol.exchange.names import snake
+from aces_bus.protocol.exchange.problems import Loss
+from aces_bus.protocol.plan import nodes as p
+
 from .c_checks import CheckPrinter
 from .c_fields import (
     CField,
@@ -52,8 +55,6 @@ from .c_language import (
     terms_of,
     written,
 )
-from .names import snake
-from .problems import Loss
 
 #: Bits of integers that a double holds.
 EXACT_BITS = 53

@@ -21,9 +21,9 @@ from hypothesis import settings
 
 from aces_bus import load_protocol, make_scanner
 from aces_bus.protocol import Enumeration, Fletcher, IdField, Protocol, Quantity, Variant
-from aces_bus.protocol.exchange import print_c_source
-from aces_bus.protocol.exchange.export_c import CMessage, CSource
 from aces_bus.testing.packets import DrawnPacket, UndrawableError
+from aces_lab.exchange import print_c_source
+from aces_lab.exchange.export_c import CMessage, CSource
 from tests.laws.drawn import drawn_packet
 from tests.specs.catalogue import SPECS
 

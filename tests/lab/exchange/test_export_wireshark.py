@@ -47,11 +47,11 @@ from aces_bus.protocol import (
     Variant,
     bits,
 )
-from aces_bus.protocol.exchange import print_dissector
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
 from aces_bus.testing.packets import UndrawableError
+from aces_lab.exchange import print_dissector
 from aces_lab.formats.pcap.writer import PcapngWriter
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.nmea0183.spec import nmea0183

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..declare.checks import Check, Crc, DataIds, Extra, IdBytes, RequestBytes, Sum
-from ..declare.message import Message
+from aces_bus.protocol.declare.checks import Check, Crc, DataIds, Extra, IdBytes, RequestBytes, Sum
+from aces_bus.protocol.declare.message import Message
+
 from .c_language import NotInC, c_hex, refuse_if
 
 

@@ -15,18 +15,19 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Literal
 
-from ..declare.ambiguity import needing_context, ordered, request_names
-from ..declare.bits import whole_bits
-from ..declare.checks import Check, Covered, Crc, DataIds, Extra, IdBytes, Sum
-from ..declare.framing import Framing, WideLength
-from ..declare.message import Direction, Message, way_of
-from ..declare.protocol import Variant
-from ..declare.stuffing import Cobs, CutZeros, Insert, Slip
-from ..plan import nodes as p
-from ..plan.flatten import fixed_leaves
+from aces_bus.protocol.declare.ambiguity import needing_context, ordered, request_names
+from aces_bus.protocol.declare.bits import whole_bits
+from aces_bus.protocol.declare.checks import Check, Covered, Crc, DataIds, Extra, IdBytes, Sum
+from aces_bus.protocol.declare.framing import Framing, WideLength
+from aces_bus.protocol.declare.message import Direction, Message, way_of
+from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol.declare.stuffing import Cobs, CutZeros, Insert, Slip
+from aces_bus.protocol.exchange.names import snake, unused
+from aces_bus.protocol.exchange.problems import Loss, one_line
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import fixed_leaves
+
 from .dissector_tables import bit_pieces, crc_table, id_pattern, is_a_table, transport_table, value_set
-from .names import snake, unused
-from .problems import Loss, one_line
 
 #: Who may speak, as the dissector's preference has it.
 Way = Direction | Literal["both", "by port"]

@@ -11,16 +11,16 @@ from collections.abc import Iterable, Sequence
 
 import construct as c
 
-from ..declare.bits import BitLayout
-from ..declare.fields import Quantity
-from ..declare.framing import Framing
-from ..declare.message import Message
-from ..declare.pattern import describe_values
-from ..declare.protocol import Variant
-from ..draw.table import captured_values, field_table
-from ..draw.text import picture
-from ..plan import nodes as p
-from .problems import clean_text
+from aces_bus.protocol.declare.bits import BitLayout
+from aces_bus.protocol.declare.fields import Quantity
+from aces_bus.protocol.declare.framing import Framing
+from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.declare.pattern import describe_values
+from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol.draw.table import captured_values, field_table
+from aces_bus.protocol.draw.text import picture
+from aces_bus.protocol.exchange.problems import clean_text
+from aces_bus.protocol.plan import nodes as p
 
 _LINKS = {"can": "CAN", "serial": "serial line", "datagram": "datagrams"}
 _WAYS = {None: "", "to device": "→ to device", "from device": "← from device"}

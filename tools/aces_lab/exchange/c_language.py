@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 
-from ..declare.fields import runs_of_numbers
+from aces_bus.protocol.declare.fields import runs_of_numbers
+from aces_bus.protocol.exchange.names import snake
+from aces_bus.protocol.exchange.problems import one_line
+
 from .dissector_tables import bit_pieces
-from .names import snake
-from .problems import one_line
 
 #: Values that a test lists one by one.
 LISTED = 64
