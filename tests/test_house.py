@@ -13,8 +13,8 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        45_900,
-        "e-stops, stops through the lock, parking, measured limits; formats left for the lab; the language of issue 30",
+        44_850,
+        "e-stops, stops through the lock, parking, measured limits; the language of issue 30; C source left",
     ),
     "statements of the kernel": (
         10_300,
@@ -22,11 +22,12 @@ BUDGETS: dict[str, tuple[int, str]] = {
         " two scales, payloads from the header;"
         " packets that come by two transports; answers without a head",
     ),
-    "public names": (182, "what a check covers of the request; quantities of two scales"),
+    "public names": (179, "what a check covers of the request; quantities of two scales"),
     "members of public names": (900, ""),
     "names of seams": (
-        492,
-        "names that left the surface; what strangers' plug-ins need; proofs name what they read; files with bodies",
+        532,
+        "names that left the surface; what strangers' plug-ins need; proofs name what they read; files with bodies;"
+        " C and Wireshark read plans from the lab",
     ),
     "files in a knot of imports": (16, ""),
     "files that ask nodes for their class": (12, ""),
