@@ -220,6 +220,17 @@ def test_a_quadruped_trots(names_of: Names, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.slow
+def test_an_arm_carries_its_own_weight(names_of: Names) -> None:
+    """It hangs still; a push leads the elbow away, where it stays; springs lead it back; switched off it falls."""
+    found = names_of("gravity_compensation.py")["main"]()
+    (first, high), (still, _) = found["at first"], found["a second later"]
+    assert abs(still - first) < 0.005
+    assert found["let go"][0] - first > 0.15
+    assert abs(found["with springs"][0] - 0.5) < 0.01
+    assert found["switched off"][1] < high - 0.1
+
+
+@pytest.mark.slow
 def test_a_quadruped_stands_walks_and_falls_the_same_twice(names_of: Names) -> None:
     """It stands at its height, walks on upright, and lies on the ground once it is switched off; twice to the last bit."""
     pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'aces-bus[physics]'")

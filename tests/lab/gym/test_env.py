@@ -136,6 +136,19 @@ def test_a_picture_shows_the_pose() -> None:
     env.close()
 
 
+@pytest.mark.slow
+def test_a_robot_with_weight_is_as_deterministic() -> None:
+    """`physics` is made anew at each reset: the arm of four makers, with the masses of its URDF."""
+    env = aces_env(ARM, physics="urdf", pose={"shoulder": 0.3})
+    rows: list[list[float]] = []
+    for _ in range(2):
+        env.reset(seed=3)
+        rows.append([env.step(env.action)[0].tolist() for _ in range(10)][-1])
+    env.close()
+    assert rows[0] == rows[1]
+    assert rows[0][1] > 0.305  # it sags
+
+
 def test_make_knows_robots() -> None:
     """`gymnasium.make` imports the module that its name says, and finds the environment there."""
     env = gymnasium.make(

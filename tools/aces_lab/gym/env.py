@@ -21,8 +21,10 @@ from aces_bus import load_robot
 from aces_bus.controller import Controller
 from aces_bus.device import Robot
 from aces_bus.device.config import Joint
+from aces_bus.device.physics import Physics
 from aces_bus.errors import CallerError
 from aces_bus.robot import Runner, run_virtual
+from aces_bus.robot.physics import physics_of
 
 if TYPE_CHECKING:
     from .sticks import Sticks
@@ -73,6 +75,7 @@ class RobotEnv(gymnasium.Env[Floats, Floats]):
         pose: Mapping[str, float] | None = None,
         reward: Callable[[RobotEnv], float] | None = None,
         is_over: Callable[[RobotEnv], bool] | None = None,
+        physics: str | Callable[[Robot], Physics] | None = None,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
@@ -81,6 +84,7 @@ class RobotEnv(gymnasium.Env[Floats, Floats]):
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
         self.rate_hz, self.seconds, self.spread, self.render_mode = rate_hz, seconds, spread, render_mode
         self.pose, self.reward, self.is_over, self.options = dict(pose or {}), reward, is_over, options
+        self.physics = physics
         self.metadata = {**self.metadata, "render_fps": max(1, round(rate_hz))}
         self.driven: list[Joint] = [joint for joint in self.robot.joints.values() if joint.active]
         self.joints = [joint.name for joint in self.driven]
@@ -108,7 +112,9 @@ class RobotEnv(gymnasium.Env[Floats, Floats]):
         self._steps = 0
 
     def _made(self, seed: int, pose: Mapping[str, float] | None = None, *controllers: Controller) -> Runner:
-        return run_virtual(self.robot, controllers, seed=seed, pose=pose, **self.options)
+        chosen = self.physics
+        body = physics_of(chosen, self.robot) if isinstance(chosen, str) else chosen and chosen(self.robot)
+        return run_virtual(self.robot, controllers, seed=seed, pose=pose, physics=body, **self.options)
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Floats, Info]:
         """Begin anew: twins powered and enabled, at the pose, or up to `spread` (rad) from it; `options` may have a `pose`.
@@ -201,8 +207,8 @@ def aces_env(robot: Robot | str, **options: Any) -> RobotEnv:
 
     `rate_hz` of actions (50); `seconds` until an episode is truncated (10); `pose` (joint → rad, m) at a reset, and `spread`
     (rad, m) by which joints are away from it, drawn from the seed; `reward` and `is_over`, functions of the environment
-    (`values`, `action`, `run`): none means 0 and never; `render_mode` "rgb_array". Others are those of
-    `aces_bus.robot.run_virtual`.
+    (`values`, `action`, `run`): none means 0 and never; `physics`, the body that its motors move, as of `--physics` ("urdf",
+    "mujoco:arm.xml") or a function of the robot; `render_mode` "rgb_array". Others: those of `run_virtual`.
 
     Raises as `aces_bus.load_robot`, and `CallerError` for a robot that has nothing to drive or to observe.
     """

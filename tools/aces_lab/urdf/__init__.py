@@ -10,6 +10,7 @@ from aces_bus.kinematics.bodies import BodyFormat
 if TYPE_CHECKING:
     from .dynamics import Dynamics
     from .model import Inertia, Mimic, UrdfJoint, UrdfLink, UrdfModel, UrdfOrigin
+    from .physics import UrdfPhysics, urdf_physics
     from .read import parse_urdf, read_urdf
     from .robots import model_of_body, model_of_robot
     from .write import urdf_text
@@ -22,10 +23,12 @@ __all__ = [
     "UrdfLink",
     "UrdfModel",
     "UrdfOrigin",
+    "UrdfPhysics",
     "model_of_body",
     "model_of_robot",
     "parse_urdf",
     "read_urdf",
+    "urdf_physics",
     "urdf_text",
 ]
 
@@ -38,6 +41,7 @@ __getattr__, __dir__ = lazy_names(
     {
         ".dynamics": "Dynamics",
         ".model": "Inertia UrdfJoint UrdfLink Mimic UrdfModel UrdfOrigin",
+        ".physics": "UrdfPhysics urdf_physics",
         ".read": "parse_urdf read_urdf",
         ".robots": "model_of_body model_of_robot",
         ".write": "urdf_text",

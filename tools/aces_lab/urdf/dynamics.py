@@ -95,14 +95,22 @@ class Dynamics:
         still = np.zeros((number, number))
         return self._torques(self.model.body.vector(angles), still, np.eye(number), np.zeros(3))
 
+    def rest_and_masses(self, angles: Angles, speeds: Angles) -> tuple[Floats, Floats]:
+        """Return the torques of a motion without acceleration, and the mass matrix: both at once, for simulations."""
+        vector, size = self.model.body.vector, len(self.model.moving)
+        v, a, gravity = np.zeros((size + 1, size)), np.zeros((size + 1, size)), np.zeros((size + 1, 1, 3))
+        v[0], a[1:], gravity[0, 0] = vector(speeds), np.eye(size), self.gravity
+        found = self._torques(vector(angles), v, a, gravity)
+        return found[0], found[1:]
+
     def accelerations(self, angles: Angles, speeds: Angles, torques: Angles) -> Floats:
         """Return how the joints accelerate (rad/s², m/s²) under torques (N·m, N): forward dynamics.
 
         Raises `numpy.linalg.LinAlgError` for a joint that moves no mass.
         """
-        rest = self.torques(angles, speeds, np.zeros(len(self.model.moving)))
+        rest, masses = self.rest_and_masses(angles, speeds)
         wanted: Floats = self.model.body.vector(torques) - rest
-        return np.asarray(np.linalg.solve(self.mass_matrix(angles), wanted), dtype=np.float64)
+        return np.asarray(np.linalg.solve(masses, wanted), dtype=np.float64)
 
     # ---- inside ----------------------------------------------------------------------------------------------------
 
