@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,8 @@ from aces_tools.main import main
 from tests.fleet.recordings import dataset_rows, needs_fleet, record, rows_of_one_process, truck
 
 needs_fleet()
-distributed = pytest.importorskip("distributed")
-psutil = pytest.importorskip("psutil")
+if find_spec("distributed") is None or find_spec("psutil") is None:
+    pytest.skip("needs Dask: pip install 'aces-bus[fleet]'", allow_module_level=True)
 
 pytestmark = [
     pytest.mark.slow,
@@ -48,6 +49,8 @@ def hog(flag: str) -> None:
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
     """Two workers, which are begun anew when they die."""
+    distributed = pytest.importorskip("distributed")
+
     with (
         distributed.LocalCluster(
             n_workers=2,
@@ -136,6 +139,9 @@ def dying_input(data: bytes) -> bytes:
 @pytest.mark.slow
 def test_what_is_started_here_listens_on_loopback_alone() -> None:
     """Scheduler, workers, nannies and their pages; and the scheduler takes no client without the cluster's key."""
+    distributed = pytest.importorskip("distributed")
+    psutil = pytest.importorskip("psutil")
+
     workers = DaskWorkers(processes=1)
     try:
         me = psutil.Process()
@@ -173,6 +179,7 @@ def _as_the_page_says(folder: Path) -> dict[str, str]:
 
 def test_a_scheduler_of_ones_own_with_certificates(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """As docs/fleets.md says: who has them decodes without a warning; who has none, or no TLS, is refused in one line."""
+    distributed = pytest.importorskip("distributed")
     from dask import config
 
     variables = _as_the_page_says(tmp_path)
