@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +84,11 @@ def test_the_second_reading_is_the_references(name: str) -> None:
 
 @pytest.mark.slow
 def test_columns_and_c_read_what_the_decoder_reads() -> None:
-    """Of a small protocol every message's columns, and its exported C, agree on all values of each field."""
+    """Of a small protocol all columns, and of another some messages' exported C, agree on all values of each field."""
     variant = load_protocol("pololu_qik").variant()
     columns = [check_columns(variant, message) for message in variant.messages.values()]
     assert {one.status for one in columns if one is not None} <= {"bounded", "sampled"}
-    in_c = list(check_c(load_protocol("damiao").variant()))
+    in_c = list(islice(check_c(load_protocol("damiao").variant()), 4))
     assert {one.status for one in in_c} <= {"bounded", "sampled", "unknown"}
 
 
