@@ -11,16 +11,20 @@
   aces device RHY set position=30deg --enable --tx
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
   aces device RHY stop                  stop it; any program may drive it
+  aces device -p dynamixel --bus /dev/ttyUSB0 --id 1 get
+                                        one device, without a robot's file
   aces device fuzz RHY --virtual        search for what breaks it ('aces device
                                         fuzz --help')
 
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
 simulated devices answer, in virtual time, and nothing else is needed. A joint
-moves to a position at its nominal speed, within its limits. On real buses `get`
-and `watch` listen to what another program asks, unless --ask has them ask;
-whatever changes a device needs --tx. One program of a machine asks and drives
-on a bus: a second is refused. Values are in SI units. A joint's name is enough:
-its device is found. Nothing is sent to other devices.
+moves to a position at its nominal speed, within its limits. On real buses
+`get` and `watch` listen to what another program asks, unless --ask has them
+ask; whatever changes a device needs --tx. A device of -p is asked on a serial
+line, which no other program can have; its joint is called 'joint'. One program
+of a machine asks and drives on a bus: a second is refused. Values are in SI
+units. A joint's name is enough: its device is found. Nothing is sent to other
+devices.
 """
 
 from __future__ import annotations
@@ -42,12 +46,13 @@ from .options import ASK, EVERY, FOR, JSON, TX, Arguments, argument, flag
 from .patience import Patience
 from .robot_arg import (
     ACTS,
+    KIND,
     REDUCED,
     ROBOT_OR_TWINS,
     at_reduced_speed,
     bus_options,
+    chosen_kind,
     chosen_pose,
-    chosen_robot,
     open_robot,
 )
 
@@ -87,13 +92,16 @@ ARGUMENTS: Arguments = (
     EVERY.but(help="watch: between two lines (default: 0.1s)"),
     REDUCED,
     ACTS,
+    *KIND,
     JSON.but(help="JSON; watch: an object a line"),
     ROBOT_OR_TWINS,
 )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = at_reduced_speed(chosen_robot(arguments.robot, arguments.driver), arguments.reduced)
+    robot = at_reduced_speed(chosen_kind(arguments, joint=True), arguments.reduced)
+    if arguments.protocol is not None:
+        _shift(robot, arguments)
     if arguments.name is None:
         return show_devices(robot, arguments.json)
     if arguments.name in VERBS:
@@ -164,6 +172,25 @@ def run(arguments: argparse.Namespace) -> int:
             return 1
         finally:
             events.report(last=True)
+
+
+def _shift(robot: Robot, arguments: argparse.Namespace) -> None:
+    """Read the words of a call with -p: without a name they are an action and its values, for the only device.
+
+    On a serial line `get` and `watch` ask: nobody else can.
+    """
+    if arguments.name is not None and len(robot.devices) == 1 and not _is_of(robot, arguments.name):
+        words = [arguments.name, *([arguments.action] if arguments.action else []), *arguments.values]
+        arguments.name, arguments.action, *arguments.values = next(iter(robot.devices)), *words
+    elif arguments.name is None and len(robot.devices) == 1:
+        arguments.name = next(iter(robot.devices))
+    is_line = all(bus.link == "serial" for bus in robot.buses.values())
+    arguments.ask = arguments.ask or (is_line and arguments.action in ("get", "watch"))
+
+
+def _is_of(robot: Robot, name: str) -> bool:
+    """Return whether a word names a device, joint or sensor, or a signal of one."""
+    return name.partition(".")[0] in (*robot.devices, *robot.joints, *robot.sensors)
 
 
 def _check_options(arguments: argparse.Namespace, action: str) -> None:

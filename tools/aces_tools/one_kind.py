@@ -12,8 +12,9 @@ from typing import Any
 import msgspec
 
 from aces_bus.device import Driver, Robot, load_driver
+from aces_bus.device.config import Joint
 from aces_bus.device.drivers import list_drivers
-from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.robot import parse_robot
 from aces_bus.robot.file import make_robot
 
@@ -84,6 +85,25 @@ def robot_of(
     return robot
 
 
+def with_joints(robot: Robot) -> Robot:
+    """Return the robot with a joint for each device that has none, where its kind can do without gear and encoder.
+
+    It is called `joint`, or `joint1`, `joint2` …; it has no limits but those of its device, and the door leads it at its
+    usual speed.
+    """
+    from aces_bus.robot import VirtualRobot
+
+    bare = [name for name in robot.devices if not robot.joints_of(name)]
+    names = ["joint"] if len(bare) == 1 else [f"joint{place}" for place in range(1, len(bare) + 1)]
+    joints = {joint: Joint(name=joint, device=device) for joint, device in zip(names, bare, strict=True)}
+    made = msgspec.structs.replace(robot, joints={**robot.joints, **joints})
+    try:
+        rig = VirtualRobot(made).rig
+    except AcesError:  # its driver needs more than that
+        return robot
+    return made if all(f"{joint}.position" in rig.signals for joint in joints) else robot
+
+
 def _stated(struct: msgspec.Struct) -> dict[str, Any]:
     """Return what a part of a robot's file says, without what is its default."""
     found: dict[str, Any] = {}
@@ -122,4 +142,4 @@ def _credentials(driver: str, names: Sequence[str], numbers: Mapping[str, Any]) 
     )
 
 
-__all__ = ["driver_of", "robot_of"]
+__all__ = ["driver_of", "robot_of", "with_joints"]

@@ -29,7 +29,7 @@ from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.hardware.served.address import is_served
 
 from .bus_arg import near_buses, served_address
-from .options import SEED, Group, argument, at_least, flag, several
+from .options import SEED, Argument, Group, argument, at_least, flag, several
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
@@ -41,6 +41,28 @@ if TYPE_CHECKING:
 VARIABLE = "ACES_ROBOT"
 
 
+def _numbers(text: str) -> list[int]:
+    """Read numbers with commas, decimal or hexadecimal. Raises `ValueError`."""
+    return [int(part, 0) for part in text.split(",")]
+
+
+#: What names devices of one kind in place of a robot.
+KIND: tuple[Argument, ...] = (
+    argument(
+        "-p",
+        "--protocol",
+        metavar="DRIVER",
+        help="devices of one kind in place of a robot: a name of `aces devices`, or a protocol that one of them speaks",
+    ),
+    argument(
+        "--id",
+        type=_numbers,
+        metavar="N[,N]",
+        help="with -p: their numbers (default: as the driver's example)",
+    ),
+    argument("--model", metavar="MODEL", help="with -p: which model"),
+    flag("--fd", help="with -p: the kind that speaks CAN FD, where there are two"),
+)
 DRIVER_FILES = several(
     "--driver",
     metavar="FILE.py",
@@ -128,6 +150,27 @@ def chosen_robot(
     if not wanted:
         raise CallerError(f"which robot? {how}, or the variable {VARIABLE} ({', '.join(list_robots())})")
     return load_robot(wanted)
+
+
+def chosen_kind(arguments: argparse.Namespace, *, joint: bool = False) -> Robot:
+    """Return the robot that the call names, or one of the devices of `-p` (`KIND`).
+
+    `joint`: devices that are given by number have a joint, where their kind needs to know no gear or encoder for it. Raises
+    as `chosen_robot` and `robot_of`.
+    """
+    if arguments.protocol is None:
+        for word in ("id", "model", "fd"):
+            if getattr(arguments, word):
+                raise CallerError(f"--{word} is of the devices of one kind: say which, such as -p moteus")
+        return chosen_robot(arguments.robot, arguments.driver)
+    from .one_kind import robot_of, with_joints
+
+    if arguments.robot:
+        raise CallerError("-p in place of --robot, not beside it")
+    use_driver_files(arguments.driver)
+    numbers = {"id": arguments.id} if arguments.id else {}
+    robot = robot_of(arguments.protocol, numbers, fd=arguments.fd, model=arguments.model)
+    return with_joints(robot) if joint else robot
 
 
 def chosen_pose(robot: Robot, texts: Sequence[str]) -> dict[str, float]:

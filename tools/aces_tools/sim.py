@@ -36,19 +36,19 @@ from aces_bus.errors import CallerError, UnknownNameError
 
 from .console import ENDLESS, counted, print_json, say, say_note
 from .live_view import live_view, show_bus, show_bus_event
-from .options import FOR, JSON, SEED, Arguments, argument, flag, several
+from .options import FOR, JSON, SEED, Arguments, flag, several
 from .patience import Patience
 from .robot_arg import (
+    KIND,
     PHYSICS,
     POSE,
     ROBOT_AND_BUSES,
     bus_options,
     check_channels,
+    chosen_kind,
     chosen_physics,
     chosen_pose,
-    chosen_robot,
     open_host,
-    use_driver_files,
 )
 
 if TYPE_CHECKING:
@@ -60,11 +60,6 @@ if TYPE_CHECKING:
     from .live_view import LiveView
 
 
-def _numbers(text: str) -> list[int]:
-    """Read numbers with commas, decimal or hexadecimal. Raises `ValueError`."""
-    return [int(part, 0) for part in text.split(",")]
-
-
 SUMMARY = "put a robot's simulated devices on a bus"
 
 EPILOG = """\
@@ -73,20 +68,7 @@ exit status: 0; 2 a wrong call, or a bus that cannot be served or opened
 
 
 ARGUMENTS: Arguments = (
-    argument(
-        "-p",
-        "--protocol",
-        metavar="DRIVER",
-        help="devices of one kind in place of a robot: a name of `aces devices`, or a protocol that one of them speaks",
-    ),
-    argument(
-        "--id",
-        type=_numbers,
-        metavar="N[,N]",
-        help="with -p: their numbers (default: as the driver's example)",
-    ),
-    argument("--model", metavar="MODEL", help="with -p: which model"),
-    flag("--fd", help="with -p: the kind that speaks CAN FD, where there are two"),
+    *KIND,
     several(
         "--fault", metavar="DEVICE:FAULT[=AMOUNT]", help="make a device misbehave; * for all; may be repeated"
     ),
@@ -102,7 +84,7 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = _chosen(arguments)
+    robot = chosen_kind(arguments)
     if arguments.list_faults:
         return _list_faults(robot, arguments.json)
     duration = arguments.duration
@@ -127,22 +109,6 @@ def run(arguments: argparse.Namespace) -> int:
             following = time.monotonic_ns() + 500_000_000
             patience.wait_until(following if end is None else min(following, end))
     return 0
-
-
-def _chosen(arguments: argparse.Namespace) -> Robot:
-    """Return the robot that the call names, or one of the devices of `-p`. Raises as `chosen_robot` and `robot_of`."""
-    if arguments.protocol is None:
-        for word in ("id", "model", "fd"):
-            if getattr(arguments, word):
-                raise CallerError(f"--{word} is of the devices of one kind: say which, such as -p moteus")
-        return chosen_robot(arguments.robot, arguments.driver)
-    from .one_kind import robot_of
-
-    if arguments.robot:
-        raise CallerError("-p in place of --robot, not beside it")
-    use_driver_files(arguments.driver)
-    numbers = {"id": arguments.id} if arguments.id else {}
-    return robot_of(arguments.protocol, numbers, fd=arguments.fd, model=arguments.model)
 
 
 # ---------------------------------------------------------------------- faults

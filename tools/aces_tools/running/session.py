@@ -12,7 +12,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +68,8 @@ class Session:
         verb: str = "run",
     ) -> None:
         self.verb = verb
+        #: Asked all the time: whether the run is to end for a reason of its verb's own.
+        self.is_ended: Callable[[], bool] = lambda: False
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
         self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
@@ -280,7 +282,7 @@ class Session:
 
     def _look(self, runner: Runner, watch: Watch) -> bool:
         """Show, and keep the pace; return whether the run is to end. Called every millisecond."""
-        if self.patience.is_over or self._is_played(runner):
+        if self.patience.is_over or self.is_ended() or self._is_played(runner):
             return True
         now = time.monotonic_ns()
         if self.arguments.real_time and not self.is_real:

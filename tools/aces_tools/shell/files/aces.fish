@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot 'robot export' devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion teleop
-set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --domain --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --physics --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --ros2-bag --ros2-interface --ros2-peer --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot 'robot export' devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion jog teleop
+set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --domain --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gamepad --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --physics --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --ros2-bag --ros2-interface --ros2-peer --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -310,6 +310,10 @@ complete -c aces -n '_shtab_aces_using device' -l for -x -d 'set: keep it up for
 complete -c aces -n '_shtab_aces_using device' -l every -x -d 'watch: between two lines (default: 0.1s)'
 complete -c aces -n '_shtab_aces_using device' -l reduced -d 'at the reduced speed that the robot'"'"'s file states'
 complete -c aces -n '_shtab_aces_using device' -l acts -xka "(__fish_complete_path (commandline -ct))" -d 'append who did what, a line each: enabled, stopped, limits, e-stop'
+complete -c aces -n '_shtab_aces_using device' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'devices of one kind in place of a robot: a name of `aces devices`, or a protocol that one of them speaks'
+complete -c aces -n '_shtab_aces_using device' -l id -x -d 'with -p: their numbers (default: as the driver'"'"'s example)'
+complete -c aces -n '_shtab_aces_using device' -l model -x -d 'with -p: which model'
+complete -c aces -n '_shtab_aces_using device' -l fd -d 'with -p: the kind that speaks CAN FD, where there are two'
 complete -c aces -n '_shtab_aces_using device' -l json -d 'JSON; watch: an object a line'
 complete -c aces -n '_shtab_aces_using device' -s r -l robot -xka "(aces completion --list robots --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'a robot that ships, or a file; protocols in Python below its folder are run (default: $ACES_ROBOT)'
 complete -c aces -n '_shtab_aces_using device' -l bus -xka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)'
@@ -578,6 +582,45 @@ complete -c aces -n '_shtab_aces_using completion' -l list -xka "protocols drive
 complete -c aces -n '_shtab_aces_using completion' -l words -x -d 'the line so far, which may name robot and device'
 complete -c aces -n '_shtab_aces_using completion' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using completion; and test $_shtab_aces_npos -eq 0' -ka "bash zsh fish" -d 'the shell'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a jog -d 'move joints one by one from the keyboard or a gamepad; with --tx'
+complete -c aces -n '_shtab_aces_using jog' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using jog' -l speed -x -d 'how fast: rad/s, m/s (default: 0.25, or the joint'"'"'s largest)'
+complete -c aces -n '_shtab_aces_using jog' -l gamepad -x -d 'by a gamepad: /dev/input/event3 (default: the first)'
+complete -c aces -n '_shtab_aces_using jog' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'devices of one kind in place of a robot: a name of `aces devices`, or a protocol that one of them speaks'
+complete -c aces -n '_shtab_aces_using jog' -l id -x -d 'with -p: their numbers (default: as the driver'"'"'s example)'
+complete -c aces -n '_shtab_aces_using jog' -l model -x -d 'with -p: which model'
+complete -c aces -n '_shtab_aces_using jog' -l fd -d 'with -p: the kind that speaks CAN FD, where there are two'
+complete -c aces -n '_shtab_aces_using jog' -l tx -d 'really move it; without, set-points are shown and not sent'
+complete -c aces -n '_shtab_aces_using jog' -l for -x -d 'run for this time: 10s, 2min (default: to the end)'
+complete -c aces -n '_shtab_aces_using jog' -l rate -x -d 'of buses, players and logs (default: the robot'"'"'s)'
+complete -c aces -n '_shtab_aces_using jog' -l log -xka "(__fish_complete_path (commandline -ct))" -d 'record states (default: those of the controllers) into .csv, .txt, .db, .parquet, .mcap'
+complete -c aces -n '_shtab_aces_using jog' -l reduced -d 'at the reduced speed that the robot'"'"'s file states'
+complete -c aces -n '_shtab_aces_using jog' -l acts -xka "(__fish_complete_path (commandline -ct))" -d 'append who did what, a line each: enabled, stopped, limits, e-stop (with --tx and --log: beside the log)'
+complete -c aces -n '_shtab_aces_using jog' -l home -d 'make driven joints find their home position first'
+complete -c aces -n '_shtab_aces_using jog' -l unhomed -d 'drive joints that are not homed, too: where they say they are, they are not'
+complete -c aces -n '_shtab_aces_using jog' -l no-enable -d 'do not enable the driven devices first'
+complete -c aces -n '_shtab_aces_using jog' -l on-trip -x -d 'what a fault leads to: hold, park (the run ends as with --at-end park), disable, ignore, degrade[:NAME], or a function of a FILE.py; without KIND, all others (default: disable)'
+complete -c aces -n '_shtab_aces_using jog' -l hold-for -x -d 'switch off held joints after this time'
+complete -c aces -n '_shtab_aces_using jog' -l at-end -xka "disable hold park" -d 'hold: leave the robot enabled, where it is; park: lead it to the pose of its file first, slowly; Ctrl-C then stops it (default: disable)'
+complete -c aces -n '_shtab_aces_using jog' -l real-time -d 'buses: priority SCHED_FIFO where the system allows it; --virtual, --replay: not faster than real'
+complete -c aces -n '_shtab_aces_using jog' -s q -l quiet -d 'no panel and no lines meanwhile'
+complete -c aces -n '_shtab_aces_using jog' -s r -l robot -xka "(aces completion --list robots --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'a robot that ships, or a file; protocols in Python below its folder are run (default: $ACES_ROBOT)'
+complete -c aces -n '_shtab_aces_using jog' -l bus -xka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)'
+complete -c aces -n '_shtab_aces_using jog' -s i -l interface -x -d 'python-can'"'"'s, of its CAN buses'
+complete -c aces -n '_shtab_aces_using jog' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers, twins and protocols of a Python file, too; it is run with your rights'
+complete -c aces -n '_shtab_aces_using jog' -l baud -x -d 'speed of its serial lines (default: the file'"'"'s)'
+complete -c aces -n '_shtab_aces_using jog' -l virtual -d 'on no bus: with simulated devices (twins), here, in virtual time'
+complete -c aces -n '_shtab_aces_using jog' -l seed -x -d 'of the twins (default: 0)'
+complete -c aces -n '_shtab_aces_using jog' -l pose -x -d 'where a twin'"'"'s joint is at first: 0.3 (rad, m) or 20deg'
+complete -c aces -n '_shtab_aces_using jog' -l physics -x -d 'what the twins'"'"' motors move, such as mujoco:quadruped.xml (default: each joint moves by itself)'
+complete -c aces -n '_shtab_aces_using jog' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
+complete -c aces -n '_shtab_aces_using jog' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
+complete -c aces -n '_shtab_aces_using jog' -l ros2 -d 'publish joint states, sensors and diagnostics for ROS 2 programs of this machine; needs '"'"'aces-bus[ros2]'"'"''
+complete -c aces -n '_shtab_aces_using jog' -l domain -x -d 'with --ros2: the domain, ROS_DOMAIN_ID (default: 0)'
+complete -c aces -n '_shtab_aces_using jog' -l ros2-commands -d 'with --ros2: take trajectories and commands of joints (run, with --tx)'
+complete -c aces -n '_shtab_aces_using jog' -l ros2-bag -xka "(__fish_complete_path (commandline -ct))" -d 'with --ros2: write all that is published, as a bag'
+complete -c aces -n '_shtab_aces_using jog' -l ros2-interface -x -d 'with --ros2: this network interface in place of loopback'
+complete -c aces -n '_shtab_aces_using jog' -l ros2-peer -x -d 'with --ros2-interface: a machine that is looked for there'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a teleop -d 'have an arm follow another that is moved by hand; with --tx'
 complete -c aces -n '_shtab_aces_using teleop' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using teleop' -l tx -d 'really move it; without, set-points are shown and not sent'
