@@ -358,7 +358,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     doc: Text | None = None
     source: Text | None = None
     rate_hz: Hertz | None = None
-    body: Name | None = None  # its kinematics: the name of an installed body, or a file
+    body: Text | None = None  # its kinematics: the name of an installed body, or a file
     buses: Mapping[str, Bus]
     devices: Mapping[str, DeviceConfig]
     joints: Mapping[str, Joint]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from aces_bus.errors import CallerError
+from aces_devices.robots import import_robot
 from aces_lab.urdf import Dynamics, parse_urdf, read_urdf, urdf_text
 from tests.lab.urdf.samples import RODS, TREE
 
@@ -39,7 +40,7 @@ def compare(path: str) -> dict[str, float]:
     dynamics, other = Dynamics(model), pin.buildModelFromUrdf(path)
     data, size = other.createData(), len(model.moving)
     draw = np.random.default_rng(7)
-    worst = dict.fromkeys(("frames", "tips", "gravity", "motion", "mass"), 0.0)
+    worst = dict[str, float].fromkeys(("frames", "tips", "gravity", "motion", "mass"), 0.0)
 
     def note(what: str, found: Any, wanted: Any) -> None:
         largest = float(np.abs(wanted).max(initial=0.0)) if what not in ("frames", "tips") else 1.0
@@ -85,6 +86,16 @@ def test_a_public_model_is_as_pinocchio_has_it(name: str) -> None:
     worst = compare(str(MODELS / name))
     assert max(worst["frames"], worst["tips"]) < 1e-12
     assert max(worst["gravity"], worst["motion"], worst["mass"]) < 1e-9
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name not in REFUSED])
+def test_a_public_model_is_written_and_imported(name: str) -> None:
+    """Written and read again it is equal; imported it is a robot with its joints, limits and speeds."""
+    model = read_urdf(str(MODELS / name))
+    again = parse_urdf(urdf_text(model))
+    assert (again.links, again.joints) == (model.links, model.joints)
+    if model.moving:
+        assert tuple(import_robot([MODELS / name]).robot.joints) == model.moving
 
 
 def test_at_least_60_models_agree() -> None:

@@ -96,6 +96,8 @@ def import_robot(
 
 #: The driver of a body's joints where nobody names one: motors that are driven by position, speed and torque.
 USUAL_DEVICE: Final = "damiao"
+#: Devices on a bus, where each joint gets one: what 1 Mbit/s carries at 200 Hz, and every protocol has numbers for.
+PER_BUS: Final = 8
 
 
 def _with_body(
@@ -128,8 +130,8 @@ def _with_body(
     else:
         content |= _devices_for(joints, device or USUAL_DEVICE)
         notes.append(
-            f"{path} does not say what drives its joints: a {device or USUAL_DEVICE} for each, numbered in their order, is a"
-            " choice (--device DRIVER, --base ROBOT choose)"
+            f"{path} does not say what drives its joints: a {device or USUAL_DEVICE} for each, numbered in their order,"
+            " eight a bus, is a choice (--device DRIVER, --base ROBOT choose)"
         )
     content["body"] = path
     sources = [content["source"]] if "source" in content else []
@@ -153,7 +155,9 @@ def _text_of(base: str) -> str:
 
 
 def _devices_for(joints: Mapping[str, Tables], driver: str) -> Tables:
-    """Return a bus with a device for each joint, as the driver's example has one; its credentials are numbers from 1."""
+    """Return a device for each joint, as the driver's example has one, on as few buses as carry them; credentials are
+    numbers from 1 on each bus.
+    """
     example = tomllib.loads(load_driver(driver).example)
     first = next(entry for entry in example["devices"].values() if entry["driver"] == driver)
     bus = {
@@ -162,11 +166,14 @@ def _devices_for(joints: Mapping[str, Tables], driver: str) -> Tables:
         if key not in ("channel", "interface")
     }
     kept = {key: value for key, value in first.items() if key in ("driver", "model", "dialect", "protocol")}
-    made: Tables = {"buses": {"bus": bus}, "devices": {}, "joints": {}, "rate_hz": 100.0}
-    for number, (joint, keys) in enumerate(joints.items(), 1):
-        credentials = dict.fromkeys(first.get("credentials", ()), number)
-        made["devices"][f"M{number}"] = {**kept, "bus": "bus", "credentials": credentials, "channels": 1}
-        made["joints"][joint] = {"device": f"M{number}", **keys}
+    made: Tables = {"buses": {}, "devices": {}, "joints": {}, "rate_hz": 100.0}
+    for place, (joint, keys) in enumerate(joints.items()):
+        on, number = divmod(place, PER_BUS)
+        name = f"bus{on + 1}" if len(joints) > PER_BUS else "bus"
+        made["buses"][name] = bus
+        credentials = dict.fromkeys(first.get("credentials", ()), number + 1)
+        made["devices"][f"M{place + 1}"] = {**kept, "bus": name, "credentials": credentials, "channels": 1}
+        made["joints"][joint] = {"device": f"M{place + 1}", **keys}
     return made
 
 

@@ -32,7 +32,7 @@ def test_a_urdf_becomes_a_robot_that_runs_on_twins(aces: Aces, tree: Path) -> No
     made = tree.with_name("robot.toml")
     found = aces("robot", "import", tree, "-o", made)
     assert found.status == 0, found.err
-    assert "a damiao for each, numbered in their order, is a choice" in found.err
+    assert "a damiao for each, numbered in their order, eight a bus, is a choice" in found.err
     robot = load_robot(made)
     assert robot.body == str(tree)
     assert {name: (j.type, j.lower, j.upper, j.max_speed) for name, j in robot.joints.items()} == {
@@ -41,7 +41,7 @@ def test_a_urdf_becomes_a_robot_that_runs_on_twins(aces: Aces, tree: Path) -> No
         "grip": ("prismatic", 0.0, 0.04, 0.2),
         "wheel": ("continuous", None, None, None),
     }
-    assert load_body(robot.body).joints == tuple(robot.joints)
+    assert load_body(str(tree)).joints == tuple(robot.joints)
     assert [device.credentials for device in robot.devices.values()] == [{"motor": n} for n in (1, 2, 3, 4)]
     with VirtualRobot(robot) as virtual:
         assert set(virtual.rig.devices) == {"M1", "M2", "M3", "M4"}
@@ -54,6 +54,21 @@ def test_another_driver_may_drive_the_joints(aces: Aces, tree: Path, driver: str
     assert aces("robot", "import", tree, "--device", driver, "-o", made).status == 0
     assert aces("robot", "check", made).status == 0
     assert {device.driver for device in load_robot(made).devices.values()} == {driver}
+
+
+def test_many_joints_are_on_several_buses_wherever_the_file_is(aces: Aces, tmp_path: Path) -> None:
+    """Eight devices a bus, numbered anew on each; a path may be long."""
+    chain = "".join(
+        f'<link name="l{n}"/><joint name="j{n}" type="continuous"><parent link="l{n}"/><child link="l{n + 1}"/></joint>'
+        for n in range(19)
+    )
+    folder = tmp_path / ("long" * 25)
+    folder.mkdir()
+    (folder / "chain.urdf").write_text(f'<robot name="chain">{chain}<link name="l19"/></robot>')
+    assert aces("robot", "import", folder / "chain.urdf", "-o", tmp_path / "chain.toml").status == 0
+    robot = load_robot(tmp_path / "chain.toml")
+    assert {bus: len(robot.devices_on(bus)) for bus in robot.buses} == {"bus1": 8, "bus2": 8, "bus3": 3}
+    assert robot.devices["M9"].credentials == {"motor": 1}
 
 
 def test_what_a_robot_has_stays_under_the_limits_of_a_urdf(aces: Aces, tree: Path) -> None:

@@ -74,10 +74,10 @@ def _joint(element: Element) -> UrdfJoint:
             f"joint {name}: type {printable(kind)[:40]!r} has no place in a tree of joints with one axis"
             f" ({', '.join(_KINDS)})"
         )
-    axis = element.child("axis")
+    axis = element.child("axis") if kind != "fixed" else None
     x, y, z = (1.0, 0.0, 0.0) if axis is None else _vector(axis, "xyz")
     length = math.hypot(x, y, z)
-    if length == 0 and kind != "fixed":
+    if axis is not None and length == 0:
         element.fail(f"joint {name}: its axis is 0 0 0; give it a direction")
     is_unit = length == 0 or abs(length - 1) < 1e-14  # as a division by the length leaves it
     unit = (x, y, z) if is_unit else (x / length, y / length, z / length)
