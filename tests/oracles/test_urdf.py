@@ -40,8 +40,7 @@ def compare(path: str) -> dict[str, float]:
     dynamics, other = Dynamics(model), pin.buildModelFromUrdf(path)
     data, size = other.createData(), len(model.moving)
     draw = np.random.default_rng(7)
-    names: tuple[str, ...] = ("frames", "tips", "gravity", "motion", "mass")
-    worst = dict.fromkeys(names, 0.0)
+    worst: dict[str, float] = {"frames": 0.0, "tips": 0.0, "gravity": 0.0, "motion": 0.0, "mass": 0.0}
 
     def note(what: str, found: Any, wanted: Any) -> None:
         largest = float(np.abs(wanted).max(initial=0.0)) if what not in ("frames", "tips") else 1.0
