@@ -17,7 +17,6 @@ from msgspec import Meta
 
 from aces_bus.device import HostLoss, Job, Steps
 from aces_bus.device.config import Joint
-from aces_bus.device.register_device import RegisterSpan
 from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.protocol import Record
@@ -26,6 +25,7 @@ from aces_protocols.dynamixel.models import MODEL_NAMES
 from aces_protocols.dynamixel.spec import control_table
 
 from ..servos.driver import ACTIONS, ServoDevice, ServoSettings
+from ..servos.registers import RegisterSpan
 
 TURN = 4096
 #: Counts that a goal in extended position mode may have either way: 256 turns (ROBOTIS e-manual).

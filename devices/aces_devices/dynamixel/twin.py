@@ -10,7 +10,6 @@ from math import inf, tau
 from typing import Any, ClassVar
 
 from aces_bus.device import on
-from aces_bus.device.register_device import RegisterCodec
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.dynamixel.control_table import ANGLE, HARDWARE_ERRORS, MODES, SPEED, WATCHDOG_ERROR
@@ -19,6 +18,7 @@ from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table, packet
 
 from ..joint_model import MotorModel
 from ..servos.motion import DRAG, ServoShaft
+from ..servos.registers import RegisterCodec
 from ..servos.twin import WRITE, RegisterTable, ServoTwin
 from .driver import ACCELERATION_STEP, FAR, PWM, TURN, Dynamixel, DynamixelSettings, mode_of
 

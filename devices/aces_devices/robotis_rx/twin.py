@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from aces_bus.device import on
-from aces_bus.device.register_device import RegisterCodec
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.robotis.control_table import ERRORS
 from aces_protocols.robotis.fields import to_directed
 from aces_protocols.robotis.spec import control_table
 
+from ..servos.registers import RegisterCodec
 from ..servos.twin import READ, WRITE, RegisterTable, ServoTwin
 from .driver import CLOCKWISE, STEP, TOP, UNLOCKED, signed
 from .motion import FREE, PER_SPEED, ShaftMotion

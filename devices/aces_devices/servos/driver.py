@@ -20,12 +20,13 @@ from msgspec import Meta
 
 from aces_bus.device import Job, Poll, Steps
 from aces_bus.device.host_loss import Outcome
-from aces_bus.device.register_device import RegisterDevice
 from aces_bus.device.settings import settings_of
 from aces_bus.device.signals import Signal
 from aces_bus.device.station import credential_text
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.protocol import Record
+
+from .registers import RegisterDevice
 
 #: What addresses all servos of a line.
 BROADCAST = 0xFE

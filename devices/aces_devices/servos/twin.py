@@ -14,13 +14,13 @@ from struct import error as StructError
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
-from aces_bus.device.register_device import RegisterCodec
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Enumeration, Flags, Quantity, Record
 from aces_bus.protocol.declare.registers import RegisterMap
 
 from .driver import BROADCAST, ServoSettings
+from .registers import RegisterCodec
 
 PING, READ, WRITE = "Ping", "Read", "Write"
 #: What a receiver tolerates of a wrong line speed (RX-28 manual).

@@ -8,10 +8,10 @@ import pytest
 from construct import Byte, Bytes, GreedyBytes, GreedyRange, Int16ub, Struct, this
 
 from aces_bus.device import UNKNOWN, Driver, Twin, on
-from aces_bus.device.register_device import RegisterCodec, RegisterDevice
 from aces_bus.errors import CallerError, DeviceError, FieldError, UnknownNameError
 from aces_bus.protocol import Enumeration, Protocol, Sum
 from aces_bus.robot import VirtualRobot, parse_robot
+from aces_devices.servos.registers import RegisterCodec, RegisterDevice
 
 gadget = Protocol("gadget", link="serial", baud=115_200, half_duplex=True, broadcast={"id": 0xFF})
 packet = gadget.framing(

@@ -21,14 +21,14 @@ from typing import Any, ClassVar
 
 import construct as c
 
-from ..errors import CallerError, DeviceError, UnknownNameError
-from ..protocol import Record
-from ..protocol.declare.registers import RegisterMap
-from .coalesce import OutgoingMessage, Setpoint
-from .declared import Poll
-from .device import Device
-from .signals import Signal
-from .ticket import Job, Steps, Ticket
+from aces_bus.device.coalesce import OutgoingMessage, Setpoint
+from aces_bus.device.declared import Poll
+from aces_bus.device.device import Device
+from aces_bus.device.signals import Signal
+from aces_bus.device.ticket import Job, Steps, Ticket
+from aces_bus.errors import CallerError, DeviceError, UnknownNameError
+from aces_bus.protocol import Record
+from aces_bus.protocol.declare.registers import RegisterMap
 
 #: How often a set-point that did not arrive is sent again.
 AGAIN = 3
