@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        44_850,
+        44_500,
         "e-stops, stops through the lock, parking, measured limits; the language of issue 30; C source left",
     ),
     "statements of the kernel": (
@@ -25,7 +25,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "public names": (179, "what a check covers of the request; quantities of two scales"),
     "members of public names": (900, ""),
     "names of seams": (
-        532,
+        528,
         "names that left the surface; what strangers' plug-ins need; proofs name what they read; files with bodies;"
         " C and Wireshark read plans from the lab",
     ),

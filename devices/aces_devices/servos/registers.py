@@ -21,11 +21,9 @@ from typing import Any, ClassVar
 
 import construct as c
 
-from aces_bus.device.coalesce import OutgoingMessage, Setpoint
-from aces_bus.device.declared import Poll
-from aces_bus.device.device import Device
+from aces_bus.device import Device, Job, OutgoingMessage, Poll, Steps, Ticket
+from aces_bus.device.coalesce import Setpoint
 from aces_bus.device.signals import Signal
-from aces_bus.device.ticket import Job, Steps, Ticket
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
 from aces_bus.protocol.declare.registers import RegisterMap
