@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ EVERYONE = (
 
 
 @contextmanager
-def peer(domain: int, seconds: float) -> Iterator[subprocess.Popen[str]]:
+def peer(domain: int, seconds: float) -> Generator[subprocess.Popen[str]]:
     """Another process with plain cyclonedds that receives `/joint_states`."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.ros2.peer", str(domain), str(seconds)],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import pytest
 
@@ -16,7 +17,7 @@ MS = 1_000_000
 
 def given() -> GivenSetpoints:
     made = GivenSetpoints("hand", ["HIP", "LW.velocity"], rate_hz=100)
-    made.bind({"HIP": {0: 0.25}})
+    made.bind(cast(Any, {"HIP": {0: 0.25}}))
     made.start(0)
     return made
 

@@ -44,7 +44,7 @@ WAIT_S = 10.0
 def jog(positions: Mapping[str, float] | None = None) -> Jog:
     """Two joints that take positions and a wheel, stepped every 10 ms."""
     made = Jog({"A": "A", "B": "B", "W": "W.velocity"}, {"A": 0.5, "B": 1.0, "W": 2.0}, rate_hz=100)
-    made.bind({name: {0: (positions or {}).get(name, 0.0)} for name in ("A", "B")})
+    made.bind(cast(Any, {name: {0: (positions or {}).get(name, 0.0)} for name in ("A", "B")}))
     made.start(0)
     made.step(0)
     return made

@@ -1,4 +1,4 @@
-"""A robot's mechanism as a file of another format: joints, limits, lengths, inertias.
+"""A robot's mechanism as a file of another format: joints, limits, inertias.
 
   aces robot export arm.toml > arm.urdf       as its body's file and the
                                               limits of its own file have it
