@@ -200,6 +200,12 @@ def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) 
             found = {
                 name: value for name, value in message.payload.parse(body, raw=True).items() if name in found
             }
+    if message.framing is not None and message.framing.multiple > 1:
+        body = bytes(message.payload.build({**values, **found}, raw=True))
+        size = message.payload_start + len(body) + message.framing.check_size
+        if padding := bytes(-size % message.framing.multiple):  # what is read has the padding that is sent
+            again = message.payload.parse(body + padding, raw=True)
+            found = {name: value for name, value in again.items() if name in found}
     if message.check is not None and message.check.field is not None:
         found.pop(message.check.field, None)
     return found

@@ -47,10 +47,46 @@ def test_rounds_of_a_room() -> None:
         assert robot["LIDAR.points"].value == 0
 
 
+EXPRESS_ROBOT = EXAMPLE.replace('protocol = "rplidar"', 'protocol = "rplidar", dialect = "express"')
+
+
+def test_rounds_of_an_express_scan() -> None:
+    """Twice as many points a round; each is on a wall of the room, though its packet says one angle for 32."""
+    with VirtualRobot(robot_of(EXPRESS_ROBOT), load=LOAD) as robot:
+        lidar: Any = robot.devices["LIDAR"]
+        robot.advance(1.5)
+        assert robot["LIDAR.nearest"].value == pytest.approx(1.5, abs=0.03)
+        assert robot["LIDAR.rate"].value == pytest.approx(5.5, rel=0.1)
+        assert robot["LIDAR.points"].value == pytest.approx(727, abs=20)
+        twin: Any = robot.twins["LIDAR"]
+        off = [abs(point.distance - twin.distance(point.angle)) for point in lidar.round]
+        assert max(off) < 0.05
+        assert sorted(off)[len(off) // 2] < 0.01
+
+
+def test_an_express_packet_without_its_next_one_is_dropped() -> None:
+    """Its angles are not known: of a round with a lost packet nothing is told; the next rounds are whole."""
+    rounds: list[Any] = []
+    with VirtualRobot(robot_of(EXPRESS_ROBOT), load=LOAD) as robot:
+        lidar: Any = robot.devices["LIDAR"]
+        twin: Any = robot.twins["LIDAR"]
+        robot.advance(1.0)
+        lidar.on_round = rounds.append
+        sent = twin.send_raw
+        lost = iter([True])
+        twin.send_raw = lambda packets: None if next(lost, False) else sent(packets)
+        robot.advance(1.0)
+    assert len(rounds) == pytest.approx(4, abs=1)
+    for points in rounds:
+        assert len(points) == pytest.approx(727, abs=20)
+        assert max(abs(point.distance - twin.distance(point.angle)) for point in points) < 0.05
+
+
 def test_a_scan_that_ends_is_begun_anew() -> None:
     """After a reset, and after its information was read, measurements come again within two seconds; paused, they do not."""
     with VirtualRobot(robot_of(), load=LOAD) as robot:
-        lidar, twin = robot.devices["LIDAR"], robot.twins["LIDAR"]
+        lidar: Any = robot.devices["LIDAR"]
+        twin: Any = robot.twins["LIDAR"]
         robot.advance(1.0)
         assert twin.is_scanning
         job = lidar.info()

@@ -23,6 +23,7 @@ from tests.oracles.served import wait_until
 
 kit: Any = oracle("rplidar", "rplidar")
 protocol: Any = oracle("pyrplidar_protocol", "pyrplidar")
+client: Any = oracle("pyrplidar", "pyrplidar")
 
 DRAWN = 4000
 
@@ -157,3 +158,33 @@ def test_its_client_works_with_the_twin(monkeypatch: pytest.MonkeyPatch) -> None
         twin: Any = line.twins["LIDAR"]
         wait_until(lambda: not twin.is_scanning)
         assert twin.duty == kit.DEFAULT_MOTOR_PWM
+
+
+def test_the_express_client_works_with_the_twin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyrplidar begins an express scan and puts its distances on the walls of the twin's room.
+
+    It reads the six bits of a compensation unsigned, so that half of its angles are 8° beside ours.
+    """
+    monkeypatch.setattr(serial.Serial, "setDTR", lambda self, value=True: None, raising=False)
+    monkeypatch.setattr(serial.Serial, "dtr", property(lambda self: True, lambda self, value: None))
+    robot = EXAMPLE.replace('protocol = "rplidar"', 'protocol = "rplidar", dialect = "express"')
+    with served_line(robot, driver) as line:
+        lidar = client.PyRPlidar()
+        try:
+            lidar.connect(port=line.path, baudrate=115_200, timeout=5)
+            points = list(islice(lidar.start_scan_express(0)(), 1600))
+        finally:
+            lidar.stop()
+            lidar.disconnect()
+        twin: Any = line.twins["LIDAR"]
+        right, aside = 0, 0
+        for point in points[:1500]:
+            off, beside = (
+                abs(point.distance / 1000 - twin.distance(math.radians(point.angle + more)))
+                for more in (0, 8)
+            )
+            right += off < 0.08
+            aside += off >= 0.08 > beside
+        assert right + aside > 1450
+        assert min(right, aside) > 300
+        wait_until(lambda: not twin.is_scanning)

@@ -53,6 +53,12 @@ wire.framing(sync=b"a", size=4, check=Crc("CRC8-AUTOSAR", over=(slice(1, -1), Da
 wire.framing(sync=b"a", end=(b"\\r\\n", b"\\r"), max_size=9)""",
         r"{line 2}: of two ends the second is the last bytes of the first",
     ),
+    "packets of a multiple that their message has not": (
+        """
+packet = wire.framing(sync=b"a", header=Struct("n" / Byte), size=this.n, multiple=4, max_size=16)
+packet("M", payload=Struct("x" / Byte))""",
+        r"{line 3}: a packet of M would have 3 bytes, and those of wire_test a multiple of 4; end it with",
+    ),
     "a field twice": (
         """
 can.message("M", id=1, payload=Struct(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
+from construct import Byte, Const, Default, GreedyBytes, Int16ub, PascalString, Struct, this
 
 from aces_bus import Frame, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
@@ -234,6 +234,38 @@ def test_a_counter_in_the_header_counts_packets_of_all_messages() -> None:
     counts = [record.count for packet in packets for record in again.feed(packet) if record.address == 1]
     assert counts == [number % 16 for number in range(36)]
     assert again.counts.missed == 0
+
+
+def test_packets_of_a_multiple_are_filled_up_and_others_are_malformed() -> None:
+    """Live in pieces and in strides, in columns and by the reference; the padding is a field of the record."""
+    made = Protocol("padded", link="serial")
+    header = Struct("kind" / Byte, "length" / Byte)
+    packet = made.framing(
+        sync=b"\xaa", header=header, size=this.length + 0, multiple=4, max_size=64, check=InvertedSum()
+    )
+    fields = ("text" / PascalString(Byte, "ascii"), "padding" / Default(GreedyBytes, b""))
+    packet("Line", match={"kind": 1}, payload=Struct(*fields))
+    sizes = [len(made.encode("Line", text="x" * size)) for size in range(12)]
+    assert sizes == [8, 8, 8, 8, 12, 12, 12, 12, 16, 16, 16, 16]
+    odd = bytes([0xAA, 1, 7, 2, 0x61, 0x62])
+    odd += bytes([~sum(odd[1:]) & 0xFF])
+    data = (made.encode("Line", text="abcde") + odd) * 400
+    wanted = [
+        (item.offset, item.message) for item in Reference([made.variant()]).stream(data) if item.message
+    ]
+    assert len(wanted) == 400
+    scanner, records = made.scanner(), list[Any]()
+    for size in (5, 3000):
+        scanner = made.scanner()
+        records = [r for at in range(0, len(data), size) for r in scanner.feed(data[at : at + size])]
+        assert [(record.meta.offset, "Line") for record in records] == wanted
+        assert scanner.counts.reasons["malformed: length"] == 400
+    assert records[0].padding == b"\0\0"
+    columns = make_column_scanner([made.variant()])
+    columns.feed(data)
+    columns.close()
+    assert columns.counts.records == 400
+    assert columns.counts.reasons == scanner.counts.reasons
 
 
 def test_directions_are_said_in_either_words() -> None:

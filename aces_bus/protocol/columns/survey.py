@@ -95,8 +95,13 @@ class Survey(PacketHeaders):
             return Decided(starts, starts, _NONE, _NONE, _NONE, stop)
         sizes, reach = self._sizes(data, starts)
         bad: list[tuple[Array, Array, Array]] = []
-        if int(sizes.min()) < framing.min_size or int(sizes.max()) > framing.max_size:
-            wrong = (sizes < framing.min_size) | (sizes > framing.max_size)
+        step = framing.multiple
+        if (
+            int(sizes.min()) < framing.min_size
+            or int(sizes.max()) > framing.max_size
+            or (step > 1 and (sizes % step).any())
+        ):
+            wrong = (sizes < framing.min_size) | (sizes > framing.max_size) | (sizes % step > 0)
             lost = starts[wrong]
             looked = reach[wrong] if isinstance(reach, np.ndarray) else reach
             bad.append((lost, lost + looked, np.full(len(lost), LENGTH)))

@@ -254,6 +254,7 @@ class Framing:
         header: Struct | None = None,
         match: Mapping[str, Collection[int]] | None = None,
         size: int | Callable[[Any], Any] | Escaped | Literal["fields"] | None = None,
+        multiple: int = 1,
         end: bytes | str | tuple[bytes, bytes] | None = None,
         stuffing: Stuffing | None = None,
         check: Check | None = None,
@@ -347,6 +348,13 @@ class Framing:
             self.affine = self._trailed(trailer)
         #: Where zeros are cut off: by the number that selects a message, the bytes of its fields behind the header.
         self.sizes: dict[int, int] = {}
+        #: What the size of all packets is a multiple of; zeros at the end of the payload make it so.
+        self.multiple = multiple
+        plain = self.affine is not None and self.stuffing is None and trailer is None
+        if multiple != 1 and (not plain or multiple not in (2, 4, 8, 16)):
+            raise SpecError(
+                f"{self.place}: multiple= is 2, 4, 8 or 16, of packets with size=this.FIELD + …, without stuffing"
+            )
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
         self.min_size = self.head_end + self.check_size + len(self.end)
         if max_size is None and self.fixed_size is None:
@@ -550,6 +558,13 @@ class Framing:
 
     def known(self, message: Message, numbers: Iterable[int] | None) -> None:
         """Note how long a message is, whose selecting header field has these `numbers`; None: it says none."""
+        least, most = sizes(message.payload)
+        size = message.payload_start + least + message.behind
+        if least == most and size % self.multiple:
+            raise SpecError(
+                f"{message.place}: a packet of {message.name} would have {size} bytes, and those of {self.name} a multiple"
+                f' of {self.multiple}; end it with "padding" / Default(GreedyBytes, b"")'
+            )
         if isinstance(self.measure, FieldSize):
             if self.measure.shapes is not None:
                 raise SpecError(
@@ -657,7 +672,7 @@ class Framing:
         else:
             assert self.fixed_size is not None
             size = self.fixed_size
-        if not self.min_size <= size <= self.max_size:
+        if not self.min_size <= size <= self.max_size or size % self.multiple:
             return BAD("length")
         if left < size:
             return MORE

@@ -325,6 +325,7 @@ class PacketStruct(Construct):
             packet = packet[: framing.head_end] + framing.stuffing.stuff(packet[framing.head_end :] + body)
         else:
             packet += body
+        packet += bytes(-(len(packet) + framing.check_size) % framing.multiple)
         size = len(packet) + framing.check_size
         if framing.affine is not None:
             length = framing.affine.length

@@ -233,8 +233,9 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
                 f"    wide = {candidate_number(wide)}",
                 f"    size = {factor}wide + {constant + wide.size} if size == {escape} <= wide else 0",
             )
+        odd = f" or size & {framing.multiple - 1}" if framing.multiple > 1 else ""
         out.lines(
-            f"if not {framing.min_size} <= size <= {framing.max_size}:",
+            f"if not {framing.min_size} <= size <= {framing.max_size}{odd}:",
             "    bad = bad or 'malformed: length'" if not alone else "    bad = 'malformed: length'",
         )
         _more(out, "end - i < size", word="elif")

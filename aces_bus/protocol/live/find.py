@@ -112,6 +112,8 @@ class PacketFinder(PacketHeaders):
             sizes = self.sizes(data, starts)
             ends = starts + sizes
             possible = (sizes >= framing.min_size) & (sizes <= framing.max_size)
+            if framing.multiple > 1:
+                possible &= sizes % framing.multiple == 0
             if not possible.all():
                 starts, ends = starts[possible], ends[possible]
         cut = np.flatnonzero(ends > len(data))

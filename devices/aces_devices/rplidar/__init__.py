@@ -3,6 +3,8 @@
 1. A scan is begun when the bus opens, and anew when measurements end; a request ends it, so nothing is polled while it runs.
 2. The motor is not this driver's: DTR starts it (A1), or `motor_duty` by the accessory board (A2).
 3. What is measured moves nothing: a stop has nothing to do.
+4. In the dialect `express` a packet has 32 distances from one angle on; where each is, the next packet's angle says. A
+   packet whose next one was lost is dropped: its angles are not known.
 
 Source: SLAMTEC, RPLIDAR Interface Protocol (A1 & A2 rev. 1.1).
 """
@@ -29,6 +31,8 @@ ANSWER_S, BROKEN_NS = 0.5, 1_000_000_000
 AGAIN_S, STALE_S = 0.5, 2.5
 #: Health is asked before each scan, as a request ends it: until the next one it is the last that is known (s).
 HEALTH_STALE_S = 86_400.0
+#: How much farther than before the motor turns from one express packet to the next, at most: twice as far is a lost one.
+MOST_TURNED = 1.5
 HEALTH = ("good", "warning", "error")
 
 
@@ -49,7 +53,7 @@ class RplidarSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Point(NamedTuple):
-    """One distance: clockwise angle (rad), distance (m), quality 0 … 63."""
+    """One distance: clockwise angle (rad), distance (m), quality 0 … 63 (of express scans always 0: they have none)."""
 
     angle: float
     distance: float
@@ -83,8 +87,12 @@ class Rplidar(Device):
         self._alarms: set[str] = set()
         self._begun: int | None = None
         self._measured = -BROKEN_NS
+        #: Of express scans: the packet before, and how far the motor turned from one to the next (°).
+        self._before: Any = None
+        self._turned: float | None = None
+        self.is_express = "ExpressMeasurements" in self.variant.messages
         known: dict[str, Any] = {
-            "read_from": ["Measurement"],
+            "read_from": ["ExpressMeasurements" if self.is_express else "Measurement"],
             "stale_s": STALE_S,
             "source": "RPLIDAR protocol, figure 4-4",
         }
@@ -122,7 +130,14 @@ class Rplidar(Device):
         if self.settings.motor_duty is not None:
             yield self.send("SetMotor", duty=self.settings.motor_duty)
         health = yield self.ask("GetHealth", reply="Health", timeout_s=ANSWER_S)
-        if health is not None and health.status != "error":
+        if health is None or health.status == "error":
+            return
+        self._before = self._turned = None
+        if self.is_express:
+            yield self.ask(
+                "ExpressScan", reply="ExpressStarted", timeout_s=ANSWER_S, mode=0, flags=0, parameter=0
+            )
+        else:
             yield self.ask("Scan", reply="ScanStarted", timeout_s=ANSWER_S)
 
     def received(self, record: Any, instant: int) -> None:
@@ -133,6 +148,9 @@ class Rplidar(Device):
             alarms = {record.status} - {"good"}
             self.emit_alarms(alarms, self._alarms)
             self._alarms = alarms
+        if name == "ExpressMeasurements":
+            self._measured = instant
+            self._spread(record, instant)
         if name != "Measurement":
             return
         self._measured = instant
@@ -140,6 +158,28 @@ class Rplidar(Device):
             self._ended(instant)
         if record.distance and self._begun is not None:
             self._points.append(Point(math.radians(record.angle), record.distance / 1000, record.quality))
+
+    def _spread(self, record: Any, instant: int) -> None:
+        """Take the distances of the packet before, now that the next angle is known (figure 4-12)."""
+        before, self._before = self._before, record
+        if before is None or record.begins:
+            self._turned = None
+            return
+        turned = (record.angle - before.angle) % 360
+        usual, self._turned = self._turned, turned
+        if usual is not None and turned > MOST_TURNED * usual:
+            self._turned = None  # a packet between them was lost
+            self._begun, self._points = None, []
+            return
+        for number, (distance, compensation) in enumerate(
+            zip(before.distances, before.compensations, strict=True)
+        ):
+            nominal = before.angle + turned * number / len(before.distances)
+            if nominal >= 360 > nominal - turned / len(before.distances):
+                self._ended(instant)
+            if distance and self._begun is not None:
+                angle = math.radians((nominal - compensation) % 360)
+                self._points.append(Point(angle, distance / 1000, 0))
 
     def _ended(self, instant: int) -> None:
         """Take a round that is over, and begin the next."""

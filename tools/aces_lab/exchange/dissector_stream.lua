@@ -229,7 +229,8 @@ local function judged(framing, bytes, start, stop, is_over)
   else
     size = framing.size
   end
-  if #framing.stop == 0 and not framing.is_silent and (size < framing.min_size or size > framing.max_size) then
+  if #framing.stop == 0 and not framing.is_silent
+    and (size < framing.min_size or size > framing.max_size or size % (framing.multiple or 1) ~= 0) then
     return "dead"
   end
   if left < size then return "more" end

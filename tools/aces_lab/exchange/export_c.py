@@ -170,6 +170,7 @@ def _refusal(message: Message) -> str:
         "a check in its header": framing is not None and framing.check_head is not None,
         "a check over its request": framing is not None and framing.covers_request,
         "a check behind its end": framing is not None and framing.check_behind,
+        "packets of a multiple of bytes": framing is not None and framing.multiple > 1,
         "two marks that may close its packets": framing is not None and framing.short_end,
         "its packets have a trailer": framing is not None and framing.trailer is not None,
         "an escaped length": affine is not None and (affine.escape is not None or affine.flags is not None),

@@ -272,6 +272,8 @@ class _Printer:
                 table["length"] |= {"flags": bit_pieces((bit,)), "more": framing.affine.more}
                 table["length"]["last"] = framing.affine.reach - 1
         table["size"] = framing.fixed_size
+        if framing.multiple > 1:
+            table["multiple"] = framing.multiple
         table["stop"] = list(framing.end)
         if framing.short_end:
             self._lose(

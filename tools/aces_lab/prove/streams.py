@@ -109,7 +109,9 @@ def candidate_verdict(
     size = packet_size(framing, data)
     if size is None:
         return "more", 0, ""
-    if not framing.min_size <= size <= framing.max_size:
+    if not framing.min_size <= size <= framing.max_size or (
+        framing.multiple > 1 and size & framing.multiple - 1 != 0
+    ):
         return "bad", 0, "length"
     if len(data) < size:
         return "more", 0, ""
