@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from construct import (
+    Array,
     Byte,
+    Bytes,
+    Const,
     Construct,
     Default,
     Float32l,
@@ -11,11 +17,15 @@ from construct import (
     GreedyBytes,
     Int16ul,
     Int32ul,
+    Rebuild,
     Struct,
+    len_,
     this,
 )
 
 from aces_bus.protocol import BitLayout, Crc, Enumeration, IdField, Protocol, Quantity, bits
+
+from .examples import EXAMPLES
 
 GUIDE = "Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4"
 
@@ -34,6 +44,7 @@ _packet = sbf.framing(
     sync=b"$@",
     header=Struct("crc" / Int16ul, "block" / Int16ul, "length" / Int16ul),
     size=this.length + 0,
+    multiple=4,
     max_size=MAX_SIZE,
     gap=0.5,
     check=Crc("CRC16-XMODEM", field="crc", over=slice(4, None)),
@@ -52,19 +63,75 @@ def sbf_block(
     name: str,
     number: int,
     *fields: Construct,
-    pad: int | None = 0,
+    is_padded: bool = True,
     revisions: range = range(8),
-    **more: object,
+    **more: Any,
 ) -> None:
-    """Declare a block of these revisions. `pad`: zeros that make it a multiple of 4 bytes; receivers of a later revision put
-    fields there and behind. None: nothing follows its last field."""
+    """Declare a block of these revisions. In its padding, and behind, receivers of a later revision put fields;
+    `is_padded=False`: nothing follows its last field."""
     more.setdefault("source", GUIDE)
-    tail = () if pad is None else ("padding" / Default(GreedyBytes, bytes(pad)),)
+    tail = ("padding" / Default(GreedyBytes, b""),) if is_padded else ()
     _packet(
         name,
         direction="from device",
         match={"block": IdField("revision", revisions) << 13 | number},
         payload=Struct(*TIME, *fields, *tail),
+        **more,
+    )
+
+
+def sbf_groups(
+    name: str,
+    number: int,
+    groups: str,
+    group: Sequence[Construct],
+    *between: Construct,
+    inner: tuple[str, Sequence[Construct]] | None = None,
+    is_padded: bool = False,
+    **more: Any,
+) -> None:
+    """Declare a block that counts its groups and states their size: as the guide has them, and, called `…Longer`, with the
+    bytes that a later revision has behind the fields of each (in `more`). `between` stands before the first group;
+    `inner` are groups in each of them, by their name, which the last field of `group` counts.
+    """
+    size = Struct(*group).sizeof()
+    stated = bytes([size]) if inner is None else bytes([size, Struct(*inner[1]).sizeof()])
+    head = "count" / Rebuild(Byte, len_(this[groups]))
+
+    def fields(is_longer: bool) -> list[Construct]:
+        rest = ["more" / Default(Bytes(this._.size - size), b"")] if is_longer else []
+        whole = [*group, *rest]
+        if inner is not None:
+            inside = [*inner[1]]
+            if is_longer:
+                inside.append("more" / Default(Bytes(this._._.inner_size - stated[1]), b""))
+            whole.append(inner[0] / Array(this.count, Struct(*inside)))
+        return whole
+
+    sizes = ["size" / Byte, *(["inner_size" / Byte] if inner is not None else [])]
+    given = {key: value for key, value in more.items() if key not in ("doc", "examples")}
+    doc = f"{name} of a later revision, whose groups are longer."
+    sbf_block(
+        f"{name}Longer",
+        number,
+        head,
+        *sizes,
+        *between,
+        groups / Array(this.count, Struct(*fields(True))),
+        is_padded=is_padded,
+        doc=doc,
+        examples=EXAMPLES.get(f"{name}Longer", ()),
+        **given,
+    )
+    sbf_block(
+        name,
+        number,
+        head,
+        Const(stated),
+        *between,
+        groups / Array(this.count, Struct(*fields(False))),
+        is_padded=is_padded,
+        overrides=f"{name}Longer",
         **more,
     )
 

@@ -313,14 +313,14 @@ EXAMPLES: dict[str, list[tuple[str, dict[str, object]]]] = {
         (
             "244033DBCB0F4400F47C9A17FD0801340C000401000000000000254000000000004034C0000000000000F83F0000003F"
             "000080BE0000003E876948F40700960021000000",
-            {"tow": 396000500, "week": 2301, "count": 1, "size": 52},
+            {"tow": 396000500, "week": 2301, "count": 1},
         )
     ],
     "BaseVectorGeod": [
         (
             "24406C6FBC0F4400F47C9A17FD0801340C000401000000000000254000000000004034C0000000000000F83F0000003F"
             "000080BE0000003E876948F40700960021000000",
-            {"tow": 396000500, "week": 2301, "count": 1, "size": 52},
+            {"tow": 396000500, "week": 2301, "count": 1},
         )
     ],
     "AttEuler": [
@@ -508,6 +508,104 @@ EXAMPLES: dict[str, list[tuple[str, dict[str, object]]]] = {
                 "second": 42,
                 "leap_seconds": None,
                 "sync": ["week", "time_of_week", "fine_time"],
+            },
+        )
+    ],
+    "SatVisibility": [
+        (
+            "244070D7AC0F2000F47C9A17FD080208050039302E1601022608FFFF6AFFFF01",
+            {
+                "tow": 396000500,
+                "week": 2301,
+                "satellites": [
+                    {
+                        "satellite": 5,
+                        "frequency": 0,
+                        "azimuth": 123.45,
+                        "elevation": 56.78,
+                        "course": "rising",
+                        "source": "ephemeris",
+                    },
+                    {
+                        "satellite": 38,
+                        "frequency": 8,
+                        "azimuth": None,
+                        "elevation": -1.5,
+                        "course": "unknown",
+                        "source": "almanac",
+                    },
+                ],
+            },
+        )
+    ],
+    "SatVisibilityLonger": [
+        (
+            "2440C47AAC2F1C00F47C9A17FD08010C050039302E16010205000000",
+            {
+                "tow": 396000500,
+                "week": 2301,
+                "size": 12,
+                "satellites": [
+                    {
+                        "satellite": 5,
+                        "frequency": 0,
+                        "azimuth": 123.45,
+                        "elevation": 56.78,
+                        "course": "rising",
+                        "source": "ephemeris",
+                        "more": b"\x05\x00\x00\x00",
+                    }
+                ],
+            },
+        )
+    ],
+    "InputLink": [
+        (
+            "244016C4FA0F2400F47C9A17FD0801142140020040E2010078E001008403000083030000",
+            {
+                "tow": 396000500,
+                "week": 2301,
+                "links": [
+                    {
+                        "connection": 33,
+                        "type": 64,
+                        "age": 2,
+                        "bytes_received": 123456,
+                        "bytes_accepted": 123000,
+                        "messages_received": 900,
+                        "messages_accepted": 899,
+                    }
+                ],
+            },
+        )
+    ],
+    "NTRIPClientStatus": [
+        (
+            "24408BEDD50F1400F47C9A17FD08010401030000",
+            {
+                "tow": 396000500,
+                "week": 2301,
+                "clients": [{"connection": 1, "status": "receiving", "error": 0, "info": 0}],
+            },
+        )
+    ],
+    "xPPSOffset": [
+        (
+            "2440608D17171400F47C9A17FD080101000090C0",
+            {"tow": 396000500, "week": 2301, "sync_age": 1, "time_scale": "gps", "offset": -4.5},
+        )
+    ],
+    "ExtEvent": [
+        (
+            "2440A4F724172000F47C9A17FD0801000000003E000000000000D0BF01000000",
+            {
+                "tow": 396000500,
+                "week": 2301,
+                "pin": 1,
+                "polarity": "rising",
+                "offset": 0.125,
+                "clock_bias": -0.25,
+                "position_age": 1,
             },
         )
     ],

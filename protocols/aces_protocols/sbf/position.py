@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from construct import Array, Byte, Construct, Int16sl, Int16ul, Int32ul, Rebuild, Struct, len_, this
+from construct import Byte, Construct, Int16sl, Int16ul, Int32ul
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, bits
 
-from .base import MODE, double, sbf_block, single, u2
+from .base import MODE, double, sbf_block, sbf_groups, single, u2
 from .examples import EXAMPLES
 
 SYSTEMS = {"gps": 0, "galileo": 1, "glonass": 3, "beidou": 4, "qzss": 5, "atomichron": 100, "unknown": 255}
@@ -81,17 +81,16 @@ for _name, (_number, _place, _units, _velocity) in _PLACES.items():
         *(axis / single("m/s") for axis in _velocity),
         *_CLOCK,
     )
-    for _suffix, _revisions, _more, _pad in (
-        ("", range(2, 8), (*_REVISION_1, *_REVISION_2), 1),
-        ("Revision1", range(1, 2), _REVISION_1, 0),
-        ("Revision0", range(1), (), 3),
+    for _suffix, _revisions, _more in (
+        ("", range(2, 8), (*_REVISION_1, *_REVISION_2)),
+        ("Revision1", range(1, 2), _REVISION_1),
+        ("Revision0", range(1), ()),
     ):
         sbf_block(
             _name + _suffix,
             _number,
             *_first,
             *_more,
-            pad=_pad,
             revisions=_revisions,
             doc=f"Position, velocity and time ({', '.join(_place)}).",
             examples=EXAMPLES[_name + _suffix],
@@ -126,14 +125,12 @@ sbf_block(
     doc="Dilution of precision, and protection levels.",
     examples=EXAMPLES["DOP"],
 )
-sbf_block(
-    "EndOfPVT", 5921, pad=2, doc="All of this epoch's position was sent.", examples=EXAMPLES["EndOfPVT"]
-)
+sbf_block("EndOfPVT", 5921, doc="All of this epoch's position was sent.", examples=EXAMPLES["EndOfPVT"])
 
 
 def _vectors(name: str, number: int, axes: tuple[str, ...]) -> None:
     """Declare the vectors to bases."""
-    vector = Struct(
+    vector = (
         "satellites" / Byte,
         "error" / MODE[1].subcon,
         "mode" / MODE[0].subcon,
@@ -146,13 +143,11 @@ def _vectors(name: str, number: int, axes: tuple[str, ...]) -> None:
         "correction_age" / u2("s", 0.01),
         "signals" / Int32ul,
     )
-    sbf_block(
+    sbf_groups(
         name,
         number,
-        "count" / Rebuild(Byte, len_(this.vectors)),
-        "size" / Byte,
-        "vectors" / Array(this.count, vector),
-        pad=None,
+        "vectors",
+        vector,
         doc="Vectors from the receiver to its bases.",
         examples=EXAMPLES[name],
     )

@@ -6,7 +6,10 @@ from construct import (
     Array,
     Byte,
     Const,
+    Float32l,
+    Float64l,
     Int8sl,
+    Int16sl,
     Int16ul,
     Int24sl,
     Int32sl,
@@ -19,7 +22,7 @@ from construct import (
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, Split, bits
 
-from .base import sbf_block
+from .base import DO_NOT_USE, sbf_block, sbf_groups
 from .examples import EXAMPLES
 
 _signal = "signal" / BitLayout(1, "number" / bits(5), "antenna" / bits(3))
@@ -29,7 +32,7 @@ _cn0 = "cn0" / Quantity(
 _info = "info" / BitLayout(1, "smoothed" / bits(1), "half_cycle" / bits(1, at=2), "more" / bits(5, at=3))
 _carrier = Quantity(Int24sl, scale=0.001, unknown=[-0x80_0000], doc="Cycles, relative to the pseudorange.")
 
-_others = Struct(
+_others = (
     _signal,
     "lock_time" / Quantity(Byte, unit="s", unknown=[255]),
     _cn0,
@@ -46,7 +49,7 @@ _others = Struct(
         "more" / bits(5, at=19),
     ),
 )
-_first = Struct(
+_first = (
     "channel" / Byte,
     _signal,
     "satellite" / Byte,
@@ -57,13 +60,12 @@ _first = Struct(
     "lock_time" / Quantity(Int16ul, unit="s", unknown=[0xFFFF]),
     _info,
     "count" / Rebuild(Byte, len_(this.others)),
-    "others" / Array(this.count, _others),
 )
-sbf_block(
+sbf_groups(
     "MeasEpoch",
     4027,
-    "count" / Rebuild(Byte, len_(this.satellites)),
-    Const(b"\x14\x0c"),
+    "satellites",
+    _first,
     "common"
     / Flags(
         Byte,
@@ -77,23 +79,25 @@ sbf_block(
     ),
     "clock_jumps" / Quantity(Byte, unit="ms"),
     "reserved" / Reserved(1),
-    "satellites" / Array(this.count, _first),
-    pad=None,
+    inner=("others", _others),
     doc="Measurements of all signals.",
     examples=EXAMPLES["MeasEpoch"],
 )
 sbf_block(
     "EndOfMeas",
     5922,
-    pad=2,
     doc="All of this epoch's measurements were sent.",
     examples=EXAMPLES["EndOfMeas"],
 )
 
-_tracking = Struct(
-    "antenna" / Byte, "reserved" / Reserved(1), "tracking" / Int16ul, "pvt" / Int16ul, "pvt_info" / Int16ul
+_tracking = (
+    "antenna" / Byte,
+    "reserved" / Reserved(1),
+    "tracking" / Int16ul,
+    "pvt" / Int16ul,
+    "pvt_info" / Int16ul,
 )
-_channel = Struct(
+_channel = (
     "satellite" / Byte,
     "frequency" / Byte,
     "reserved1" / Reserved(2),
@@ -108,16 +112,14 @@ _channel = Struct(
     "count" / Rebuild(Byte, len_(this.antennas)),
     "channel" / Byte,
     "reserved2" / Reserved(1),
-    "antennas" / Array(this.count, _tracking),
 )
-sbf_block(
+sbf_groups(
     "ChannelStatus",
     4013,
-    "count" / Rebuild(Byte, len_(this.channels)),
-    Const(b"\x0c\x08"),
+    "channels",
+    _channel,
     "reserved" / Reserved(3),
-    "channels" / Array(this.count, _channel),
-    pad=None,
+    inner=("antennas", _tracking),
     doc="State of the tracking.",
     examples=EXAMPLES["ChannelStatus"],
 )
@@ -144,7 +146,6 @@ sbf_block(
     "count" / Rebuild(Byte, len_(this.indicators)),
     "reserved" / Reserved(1),
     "indicators" / Array(this.count, _indicator),
-    pad=0,
     doc="Quality of the receiver's main functions.",
     source="mosaic-H Reference Guide 4.10.1",
     examples=EXAMPLES["QualityInd"],
@@ -198,7 +199,7 @@ sbf_block(
     "commands" / Byte,
     "temperature" / Quantity(Byte, unit="°C", offset=-100, unknown=[0]),
     "front_ends" / Array(this.count, _front_end),
-    pad=None,
+    is_padded=False,
     doc="State of the receiver.",
     examples=EXAMPLES["ReceiverStatus"],
 )
@@ -213,8 +214,84 @@ sbf_block(
     ),
     "leap_seconds" / Quantity(Int8sl, unit="s", unknown=[-128]),
     "sync" / Flags(Byte, week=0, time_of_week=1, fine_time=2),
-    pad=2,
     doc="Time of the receiver, in UTC.",
     source="mosaic-H Reference Guide 4.10.1",
     examples=EXAMPLES["ReceiverTime"],
+)
+
+_satellite = (
+    "satellite" / Byte,
+    "frequency" / Byte,
+    "azimuth" / Quantity(Int16ul, unit="°", scale=0.01, unknown=[0xFFFF]),
+    "elevation" / Quantity(Int16sl, unit="°", scale=0.01, unknown=[-0x8000]),
+    "course" / Enumeration(Byte, setting=0, rising=1, unknown=255),
+    "source" / Enumeration(Byte, almanac=1, ephemeris=2, unknown=255),
+)
+sbf_groups(
+    "SatVisibility",
+    4012,
+    "satellites",
+    _satellite,
+    doc="Where satellites above the horizon are.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["SatVisibility"],
+)
+
+_link = (
+    "connection" / Byte,
+    "type" / Byte,
+    "age" / Quantity(Int16ul, unit="s", unknown=[0xFFFF], doc="Of the last message."),
+    "bytes_received" / Int32ul,
+    "bytes_accepted" / Int32ul,
+    "messages_received" / Int32ul,
+    "messages_accepted" / Int32ul,
+)
+sbf_groups(
+    "InputLink",
+    4090,
+    "links",
+    _link,
+    doc="What came over each connection.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["InputLink"],
+)
+
+_client = (
+    "connection" / Byte,
+    "status"
+    / Enumeration(Byte, sending_disabled=0, initialising=1, sending=2, receiving=3, paused=4, error=5),
+    "error" / Byte,
+    "info" / Byte,
+)
+sbf_groups(
+    "NTRIPClientStatus",
+    4053,
+    "clients",
+    _client,
+    doc="Connections to casters of corrections.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["NTRIPClientStatus"],
+)
+
+sbf_block(
+    "xPPSOffset",
+    5911,
+    "sync_age" / Quantity(Byte, unit="s"),
+    "time_scale" / Enumeration(Byte, gps=1, utc=2, receiver=3, glonass=4, galileo=5, beidou=6),
+    "offset" / Quantity(Float32l, unit="ns", doc="Of the pulse from the second."),
+    doc="How far the pulse a second was off.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["xPPSOffset"],
+)
+sbf_block(
+    "ExtEvent",
+    5924,
+    "pin" / Byte,
+    "polarity" / Enumeration(Byte, rising=0, falling=1),
+    "offset" / Quantity(Float32l, unit="s", doc="Of the event from tow."),
+    "clock_bias" / Quantity(Float64l, unit="ms", unknown=[DO_NOT_USE]),
+    "position_age" / Quantity(Int16ul, unit="s", unknown=[0xFFFF]),
+    doc="An event on an input pin.",
+    source="mosaic-H Reference Guide 4.10.1",
+    examples=EXAMPLES["ExtEvent"],
 )
