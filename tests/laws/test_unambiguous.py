@@ -229,6 +229,12 @@ def other_syncs(p: Protocol) -> None:
     p.framing(name="two", sync=b"\xa5\x02", size=8)("Two", payload=Struct("b" / Bytes(6)))
 
 
+def other_lengths_of_a_line(p: Protocol) -> None:
+    line = p.framing(end=b"\n", max_size=16)
+    line("One", payload=Struct("a" / Bytes(2)))
+    line("Two", payload=Struct("b" / Bytes(3)))
+
+
 @pytest.mark.parametrize(
     ("link", "declare"),
     [
@@ -240,6 +246,7 @@ def other_syncs(p: Protocol) -> None:
         ("can", a_wide_head_of_many_values),
         ("can", opposite_directions),
         ("serial", other_syncs),
+        ("serial", other_lengths_of_a_line),
     ],
     ids=lambda value: getattr(value, "__name__", value),
 )
