@@ -359,6 +359,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     source: Text | None = None
     rate_hz: Hertz | None = None
     body: Text | None = None  # its kinematics: the name of an installed body, or a file
+    physics: Text | None = None  # what its twins' motors move: NAME or NAME:FILE
     buses: Mapping[str, Bus]
     devices: Mapping[str, DeviceConfig]
     joints: Mapping[str, Joint]

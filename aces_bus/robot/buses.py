@@ -30,6 +30,7 @@ from ..hardware.simulated.serial_line import Noise, SimulatedSerialLine
 from ..protocol import Protocol
 from ..runtime import VirtualClock
 from ..runtime.loop import Loop
+from .physics import chosen_physics
 from .rig import Rig, Simulation, connect, simulate, spoken_on
 
 #: python-can's interfaces of buses that only one process has, unless their channel is an address.
@@ -166,9 +167,9 @@ class VirtualRobot:
         robot["RHY.position"].value
 
     `faults` and `noise` (bus → what its wire does wrong); `pose` (joint → rad: where its twin is at first); `homed` False:
-    as after power-up, what needs homing is not homed; `physics`: the body that the twins' motors move. `rate_hz` is the tick
-    of buses whose rate the file does not state, when absent the file's own; 0: no ticks. The other options are those of
-    `connect` and `simulate`.
+    as after power-up, what needs homing is not homed; `physics`: the body that the twins' motors move, or its name
+    (`"mujoco:arm.xml"`, `"none"`; when absent what the robot's file says). `rate_hz` is the tick of buses whose rate the
+    file does not state, when absent the file's own; 0: no ticks. The other options are those of `connect` and `simulate`.
     """
 
     def __init__(
@@ -184,7 +185,7 @@ class VirtualRobot:
         noise: Mapping[str, Noise] | None = None,
         pose: Mapping[str, float] | None = None,
         homed: bool = True,
-        physics: Physics | None = None,
+        physics: Physics | str | None = None,
         load: Callable[[str], Driver] = load_driver,
     ) -> None:
         self.robot = robot
@@ -205,7 +206,7 @@ class VirtualRobot:
         )
         twins = {bus: port_of(wire, name=f"{bus} twins") for bus, wire in self.wires.items()}
         self.simulation: Simulation = simulate(
-            robot, twins, seed=seed, pose=pose, homed=homed, physics=physics, load=load
+            robot, twins, seed=seed, pose=pose, homed=homed, physics=chosen_physics(robot, physics), load=load
         )
 
     def ports(self, name: str) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from ..kinematics.bodies import BODIES, body_format
 from ..protocol import Protocol
 from ..protocol.files import list_protocols, load_protocol, python_file
 from .keys import KEYS, character_of
+from .physics import PHYSICS
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
 SLIP: Final = 0.8
@@ -71,6 +72,9 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
 
 
 def _check_body(robot: Robot, complain: Complain) -> None:
+    if robot.physics is not None:
+        name = robot.physics.partition(":")[0]
+        _check_installed(("physics",), "physics", name, PHYSICS.points(), complain)
     if robot.body is not None and body_format(robot.body) is None:
         _check_installed(("body",), "body", robot.body, BODIES.points(), complain)
 

@@ -263,6 +263,7 @@ class _Reader:
             ("protocol", self.files.protocol),
             ("settings", self.files.data),
             ("body", self.files.body),
+            ("physics", self.files.physics),
         ):
             if values.get(key) is not None:
                 try:

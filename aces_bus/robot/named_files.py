@@ -72,6 +72,11 @@ class NamedFiles:
         found.load(path)
         return path
 
+    def physics(self, text: str) -> str:
+        """Return `NAME:FILE` with the file's path from where the program runs; raises `CallerError` for one elsewhere."""
+        name, colon, model = text.partition(":")
+        return f"{name}:{self._below(model)}" if model else name + colon
+
     def _below(self, name: str) -> str:
         path, root = os.path.join(self._folder, name), Path(self._folder).resolve()
         if not Path(path).resolve().is_relative_to(root):

@@ -17,6 +17,10 @@ from ..plugins import Plugins
 PHYSICS: Plugins[FunctionType] = Plugins("aces_bus.physics", "physics", FunctionType)
 
 
+#: The name of no physics: each joint moves by itself, whatever the robot's file says.
+NO_PHYSICS = "none"
+
+
 def physics_of(text: str, robot: Robot) -> Physics:
     """Return the physics that `NAME` or `NAME:MODEL` names, for a robot.
 
@@ -24,9 +28,21 @@ def physics_of(text: str, robot: Robot) -> Physics:
     robot's joints.
     """
     name, _, model = text.partition(":")
-    found: Any = PHYSICS.load(name)(robot, model)
+    maker: Any = PHYSICS.load(name)
+    found: Physics = maker(robot, model)
     if not set(found.joints) & set(robot.joints):
         raise CallerError(
             f"{text}: it has none of the joints of {robot.name}: it has {', '.join(found.joints) or 'none'}"
         )
-    return found  # type: ignore[no-any-return]
+    return found
+
+
+def chosen_physics(robot: Robot, chosen: Physics | str | None) -> Physics | None:
+    """Return the physics of a robot's twins: `chosen`, or what its name names ("none": none), else what its file says.
+
+    Raises as `physics_of`.
+    """
+    text = robot.physics if chosen is None else chosen
+    if text is None or text == NO_PHYSICS:
+        return None
+    return physics_of(text, robot) if isinstance(text, str) else text

@@ -36,14 +36,14 @@ def run_virtual(
     rate_hz: float | None = None,
     seed: int = 0,
     pose: Mapping[str, float] | None = None,
-    physics: Physics | None = None,
+    physics: Physics | str | None = None,
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
     """Return a runner in virtual time: `with run_virtual(robot, [walk]) as run: run.do("enable"); run.run(10.0)`.
 
     `rate_hz` is the buses' tick (default: the robot's, else 100 Hz), `pose` where joints are at first and `physics` the
-    body that the twins' motors move (see `simulate`). Other options are `Runner`'s.
+    body that the twins' motors move (see `VirtualRobot`). Other options are `Runner`'s.
     """
     made = robot
     if isinstance(made, Robot):

@@ -62,7 +62,9 @@ def ways_of(joint: str) -> tuple[Way, ...]:
 
 def arm_text(*commands: str) -> str:
     """Return the arm's file, whose joints are commanded so, in their order; "position" where nothing is said, or `FREE`."""
-    text = FILE.read_text(encoding="utf-8")
+    text = FILE.read_text(encoding="utf-8").replace(
+        'physics = "urdf"', ""
+    )  # the laws are of joints by themselves
     for joint, command in zip(DEVICE_OF, commands, strict=False):
         if command == FREE:
             assert GAINS in text

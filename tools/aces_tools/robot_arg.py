@@ -33,7 +33,6 @@ from .options import SEED, Argument, Group, argument, at_least, flag, several
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
-    from aces_bus.device.physics import Physics
     from aces_bus.robot import VirtualRobot
     from aces_bus.robot.rig import Rig
     from aces_bus.runtime.clock import EventClock
@@ -97,7 +96,7 @@ POSE = several(
 PHYSICS = argument(
     "--physics",
     metavar="NAME[:MODEL]",
-    help="what the twins' motors move, such as mujoco:quadruped.xml (default: each joint moves by itself)",
+    help="what the twins' motors move, such as mujoco:quadruped.xml, or none (default: as the robot's file says)",
 )
 ROBOT_OR_TWINS = Group(
     _TITLE,
@@ -229,15 +228,6 @@ class Opened:
     virtual: VirtualRobot | None
 
 
-def chosen_physics(robot: Robot, text: str | None) -> Physics | None:
-    """Return the physics that `--physics` names, None where it names none; raises as `physics_of`."""
-    if not text:
-        return None
-    from aces_bus.robot.physics import physics_of
-
-    return physics_of(text, robot)
-
-
 @contextmanager
 def open_robot(
     robot: Robot,
@@ -258,10 +248,8 @@ def open_robot(
 
         if arguments.bus or arguments.interface:
             raise CallerError("--virtual has no buses; leave --bus and -i away")
-        physics = chosen_physics(robot, arguments.physics)
-        with VirtualRobot(
-            robot, rate_hz=rate_hz, seed=arguments.seed, rules=rules, pose=pose, physics=physics
-        ) as made:
+        seed, physics = arguments.seed, arguments.physics
+        with VirtualRobot(robot, rate_hz=rate_hz, seed=seed, rules=rules, pose=pose, physics=physics) as made:
             yield Opened(robot, made.rig, made.clock, made)
         return
     if pose or arguments.physics:

@@ -46,14 +46,12 @@ from .robot_arg import (
     bus_options,
     check_channels,
     chosen_kind,
-    chosen_physics,
     chosen_pose,
     open_host,
 )
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
-    from aces_bus.device.physics import Physics
     from aces_bus.device.twin import JointModel
     from aces_bus.robot.rig import Simulation
 
@@ -95,9 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
         patience = stack.enter_context(Patience())
         pose = chosen_pose(robot, arguments.pose)
         view = stack.enter_context(live_view("sim", arguments, f"{robot.name}, simulated"))
-        physics = chosen_physics(robot, arguments.physics)
+        homed, physics = not arguments.unhomed, arguments.physics
         stand = SimulatedRobot(
-            robot, options, arguments.seed, stack, pose, view, homed=not arguments.unhomed, physics=physics
+            robot, options, arguments.seed, stack, pose, view, homed=homed, physics=physics
         )
         for names, fault, amount in faults:
             for name in names:
@@ -211,9 +209,10 @@ class SimulatedRobot:
         view: LiveView | None = None,
         *,
         homed: bool = True,
-        physics: Physics | None = None,
+        physics: str | None = None,
     ) -> None:
         from aces_bus.robot.buses import gate_of, port_for
+        from aces_bus.robot.physics import chosen_physics
         from aces_bus.robot.rig import simulate, spoken_on
         from aces_bus.runtime.loop import Loop
 
@@ -237,7 +236,7 @@ class SimulatedRobot:
                 bus = robot.buses[name]
                 ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
         self.simulation: Simulation = simulate(
-            robot, ports, seed=seed, pose=pose, homed=homed, physics=physics
+            robot, ports, seed=seed, pose=pose, homed=homed, physics=chosen_physics(robot, physics)
         )
         stack.callback(self.simulation.close)
         if view is not None:

@@ -25,9 +25,9 @@ from aces_protocols.moteus.subframes import bytes_of, register_values
 from ..joint_model import AMBIENT, JAM, MotorModel, PacedGoal, jam, joint_of
 
 #: The watchdog of a command that names none (s), the configured maximum torque (N·m), the fastest the motor turns (turn/s).
-TIMEOUT_S, MAX_TORQUE, MAX_VELOCITY = 0.1, 3.0, 20.0
+TIMEOUT_S, MAX_TORQUE, MAX_VELOCITY = 0.1, 12.0, 20.0
 #: At the controller: amperes and N·m/A of its motor, stiffness (N·m/rad) and damping (N·m·s/rad) at a scale of 1. Choices.
-CURRENT, TORQUE_CONSTANT, STIFFNESS, DAMPING = 30.0, MAX_TORQUE / 30.0, 60.0, 1.5
+CURRENT, TORQUE_CONSTANT, STIFFNESS, DAMPING = 30.0, MAX_TORQUE / 30.0, 120.0, 4.0
 #: The supply without load (V) and its resistance (ohm); the least voltage (V) and the highest temperature (°C).
 SUPPLY, RESISTANCE, LEAST_VOLTAGE, MOST_TEMPERATURE = 24.0, 0.05, 10.0, 75.0
 #: What else the twin has: model, firmware, register map, serial numbers.

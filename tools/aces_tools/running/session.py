@@ -28,7 +28,7 @@ from ..console import abandon_stdout, say, say_note, terminal_width, wants_colou
 from ..device_text import host_loss_text
 from ..live_view import live_view, show_bus, show_event
 from ..patience import Patience
-from ..robot_arg import INTERFACE_HELP, NO_INTERFACE, bus_options, chosen_physics, chosen_pose
+from ..robot_arg import INTERFACE_HELP, NO_INTERFACE, bus_options, chosen_pose
 from .figures import USUAL, Figures, Watch, event_text, often_clipped
 from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
@@ -103,7 +103,7 @@ class Session:
                 rate_hz=self.rate_hz,
                 seed=asked.seed,
                 pose=chosen_pose(self.robot, asked.pose),
-                physics=chosen_physics(self.robot, asked.physics),
+                physics=asked.physics,
                 **options,
             )
         if asked.replay:
