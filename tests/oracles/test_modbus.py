@@ -103,7 +103,19 @@ def test_pymodbus_reads_and_writes_our_twin() -> None:
             refused = master.read_holding_registers(99, count=1, device_id=5)
             assert (refused.isError(), refused.exception_code) == (True, 2)
             assert master.write_registers(0, [1], device_id=5).exception_code == 2
-            assert master.read_exception_status(device_id=5).exception_code == 1
+            assert master.read_exception_status(device_id=5).status == 0
+            assert not master.diag_query_data(b"\xa5\x37", device_id=5).isError()
+            assert master.diag_read_bus_exception_error_count(device_id=5).message in (2, [2], b"\0\2")
+            assert b"PLC" in master.report_device_id(device_id=5).identifier
+            assert not master.write_registers(13, [1, 9], device_id=5).isError()  # a queue of one
+            # pymodbus 3.16 counts two bytes too few for this answer of a serial line, and waits: its reading alone.
+            queue = pdu.file_message.ReadFifoQueueResponse()
+            queue.decode(twin._queue(b"\0\x0d"))
+            assert queue.values == [9]
+            told = master.read_device_information(read_code=1, object_id=0, device_id=5)
+            assert told.information == {0: b"aces-bus", 1: b"PLC", 2: b"1.0"}
+            assert master.read_device_information(read_code=4, object_id=7, device_id=5).exception_code == 2
+            assert master.diag_change_ascii_input_delimeter(device_id=5).exception_code == 1
         finally:
             master.close()
     data = b"".join(passed)

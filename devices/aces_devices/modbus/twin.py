@@ -2,6 +2,8 @@
 
 1. What is not in the table is refused as a device does: function, address, value.
 2. Nothing happens by itself: a register has what was written, or what `put` says.
+3. Beside registers it has exception status, diagnostics (echo and counters), its identification, and queues: a register that
+   says how many of those behind it are in the queue (Modbus application protocol 6.7, 6.8, 6.13, 6.18, 6.21).
 """
 
 from __future__ import annotations
@@ -17,6 +19,20 @@ from aces_bus.protocol import Record
 from ..tables import drawn_bytes
 from .table import MOST_BITS, MOST_REGISTERS, READERS, ModbusRegister, bits_from, bytes_from, registers_of
 
+#: The longest queue that function 24 reads.
+MOST_QUEUED = 31
+#: Diagnostics of function 8: what they count; `ECHO` answers with its request, `CLEAR` begins anew.
+ECHO, CLEAR = 0x00, 0x0A
+COUNTED = {
+    0x0B: "messages",
+    0x0C: "errors",
+    0x0D: "refusals",
+    0x0E: "messages",
+    0x0F: "unanswered",
+    0x12: "overruns",
+}
+#: Function 43: the type of its identification, how it is read one by one, and how far it goes (basic, either way).
+IDENTIFICATION, ONE_BY_ONE, CONFORMITY = 0x0E, 4, 0x81
 TABLES = {function: table for table, function in READERS.items()}
 
 
@@ -34,6 +50,9 @@ class ModbusTwin(Twin):
         self.table = registers_of(
             self.name, settings.get("table") or self.shipped_table, settings.get("registers", {})
         )
+        #: What function 7 says, and what function 8 counts.
+        self.exception_status = 0
+        self.counts = dict.fromkeys(COUNTED.values(), 0)
         self.numbers: dict[str, dict[int, int]] = {table: {} for table in READERS}
         self.writable: dict[str, set[int]] = {table: set() for table in READERS}
         for register in self.table.values():
@@ -154,10 +173,76 @@ class ModbusTwin(Twin):
             if found is not None:
                 self._answer(request, "Registers", function=23, registers=found)
 
+    # ------------------------------------------------------------------ what is not about registers
+
+    def receive(self, record: Record, instant: int) -> None:
+        """See `Twin.receive`; requests are counted."""
+        self.counts["messages"] = self.counts["messages"] + 1 & 0xFFFF
+        super().receive(record, instant)
+
     @on("Other")
-    def refuse_other(self, request: Record) -> None:
-        """Refuse a function that this device does not have."""
-        self._refuse(request, request.function, "function")
+    def answer_other(self, request: Record) -> None:
+        """Answer exception status, diagnostics, identification and queues; refuse functions that it does not have."""
+        function, data = int(request.function), bytes(request.data)
+        found: bytes | str = "function"
+        if "busy" in self.active_faults:
+            found = "busy"
+        elif function == 7:
+            found = b"" if data else bytes((self.exception_status,))
+        elif function == 8:
+            found = self._diagnosed(data)
+        elif function == 17:
+            name = self.name.encode()[:200]
+            found = bytes((len(name) + 1,)) + name + b"\xff"  # it runs
+        elif function == 24:
+            found = self._queue(data)
+        elif function == 43:
+            found = self._identification(data)
+        if isinstance(found, str):
+            self._refuse(request, function, found)
+        else:
+            self._answer(request, "OtherAnswer", function=function, data=found)
+
+    def _diagnosed(self, data: bytes) -> bytes | str:
+        if len(data) < 4:
+            return "value"
+        kind = int.from_bytes(data[:2], "big")
+        if kind == CLEAR:
+            self.counts = dict.fromkeys(self.counts, 0)
+        elif kind in COUNTED:
+            return data[:2] + self.counts[COUNTED[kind]].to_bytes(2, "big")
+        elif kind != ECHO:
+            return "function"
+        return data
+
+    def _queue(self, data: bytes) -> bytes | str:
+        kept, start = self.numbers["holding"], int.from_bytes(data, "big")
+        if len(data) != 2:
+            return "value"
+        if start not in kept:
+            return "address"
+        count = kept[start]
+        queued = [kept.get(start + 1 + place) for place in range(min(count, MOST_QUEUED))]
+        if count > MOST_QUEUED or None in queued:
+            return "value"
+        words = [2 + 2 * count, count, *(number or 0 for number in queued)]
+        return b"".join(word.to_bytes(2, "big") for word in words)
+
+    def _identification(self, data: bytes) -> bytes | str:
+        if len(data) != 3 or data[0] != IDENTIFICATION:
+            return "function"
+        code, first = data[1], data[2]
+        texts = dict(enumerate((b"aces-bus", self.name.encode()[:100], b"1.0")))
+        if not 1 <= code <= ONE_BY_ONE:
+            return "value"
+        if code == ONE_BY_ONE:
+            if first not in texts:
+                return "address"
+            texts = {first: texts[first]}
+        else:
+            texts = {number: text for number, text in texts.items() if number >= first} or texts
+        head = bytes((IDENTIFICATION, code, CONFORMITY, 0, 0, len(texts)))
+        return head + b"".join(bytes((number, len(text))) + text for number, text in texts.items())
 
     def _write(self, request: Record, function: int, table: str, start: int, numbers: Iterable[int]) -> bool:
         given = dict(enumerate(numbers, start))
@@ -181,6 +266,7 @@ class ModbusTwin(Twin):
             self.changed(name, self.take(name))
 
     def _refuse(self, request: Record, function: int, reason: str) -> None:
+        self.counts["refusals"] = self.counts["refusals"] + 1 & 0xFFFF
         self._answer(request, "Refusal", function=function, reason=reason)
 
     def _answer(self, request: Record, message: str, **fields: Any) -> None:
