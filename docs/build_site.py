@@ -270,6 +270,17 @@ class Site:
             "",
         ]
         text += ["![The live screen](pictures/screen.svg)", ""]
+        path = self.folder / "pictures" / "quadruped.png"
+        call = [sys.executable, str(ROOT / "examples" / "quadruped_walk.py"), "2.5", str(path)]
+        drawn = subprocess.run(call, capture_output=True, cwd=ROOT, env={"MUJOCO_GL": "egl", **os.environ})
+        if not drawn.returncode:  # else MuJoCo finds no renderer here
+            text += [
+                "## A quadruped that walks",
+                "",
+                "```console",
+                "$ python examples/quadruped_walk.py 2.5 quadruped.png",
+            ]
+            text += ["```", "", "![A quadruped that walks](pictures/quadruped.png)", ""]
         self.write("pictures", "\n".join(text))
 
     def names(self) -> None:

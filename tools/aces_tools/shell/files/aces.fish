@@ -612,7 +612,7 @@ complete -c aces -n '_shtab_aces_using jog' -l baud -x -d 'speed of its serial l
 complete -c aces -n '_shtab_aces_using jog' -l virtual -d 'on no bus: with simulated devices (twins), here, in virtual time'
 complete -c aces -n '_shtab_aces_using jog' -l seed -x -d 'of the twins (default: 0)'
 complete -c aces -n '_shtab_aces_using jog' -l pose -x -d 'where a twin'"'"'s joint is at first: 0.3 (rad, m) or 20deg'
-complete -c aces -n '_shtab_aces_using jog' -l physics -x -d 'what the twins'"'"' motors move, such as mujoco:quadruped.xml (default: each joint moves by itself)'
+complete -c aces -n '_shtab_aces_using jog' -l physics -x -d 'what the twins'"'"' motors move, such as mujoco:quadruped.xml, or none (default: as the robot'"'"'s file says)'
 complete -c aces -n '_shtab_aces_using jog' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
 complete -c aces -n '_shtab_aces_using jog' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
 complete -c aces -n '_shtab_aces_using jog' -l ros2 -d 'publish joint states, sensors and diagnostics for ROS 2 programs of this machine; needs '"'"'aces-bus[ros2]'"'"''
