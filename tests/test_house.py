@@ -13,8 +13,9 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        44_500,
-        "e-stops, stops through the lock, parking, measured limits; the language of issue 30; C source left",
+        44_600,
+        "e-stops, stops through the lock, parking, measured limits; the language of issue 30; C source left;"
+        " fields by bits read where they stand",
     ),
     "statements of the kernel": (
         10_300,

@@ -28,7 +28,7 @@ from ..live.can import CanScanner
 from ..live.decide import REMEMBERED
 from .key_slots import ERROR_FRAME, LIVE, UNKNOWN, KeySlots
 from .reassemble import CarriedTable, ColumnReassembler
-from .rows import PacketRows, RowDecoder
+from .rows import PacketRows, row_decoder
 from .scanner import RecordColumns
 from .slot_batch import MessageCandidate, SlotBatch, merge_tables, table_of_lost
 from .table import Array, MessageTable
@@ -179,7 +179,7 @@ class CanColumns:
         name = (number, message.name)
         if name not in self._decoders:
             variant = self.variants[number]
-            decoder = RowDecoder(message.plan, raw=self.raw, message=message)
+            decoder = row_decoder(message, raw=self.raw)
             context = self._wires[number].context
             is_live = message.name in context.requests or message.name in context.answers
             self._decoders[name] = MessageCandidate(message, decoder, variant.name, number, is_live)
@@ -399,7 +399,7 @@ class CanColumns:
     def _count_missed(self, candidate: MessageCandidate, table: MessageTable, rows: PacketRows) -> None:
         """Count the messages that rolling counters show as missed, by channel and key."""
         message = candidate.message
-        raw = candidate.decoder if self.raw else RowDecoder(candidate.decoder.plan, raw=True, message=message)
+        raw = row_decoder(message, raw=True)
         kinds = {kind.name: kind for kind in raw.kinds}
         who = table.channel.astype(np.uint64) << np.uint64(32) | table.key.astype(np.uint64)
         for name, modulo in message.counters.items():

@@ -17,7 +17,7 @@ from ..declare.message import Message
 from ..generate.load import records_of
 from ..generate.scan import Choice, choose
 from ..live.decide import Decider
-from .rows import PacketRows, RowDecoder
+from .rows import PacketRows, row_decoder
 from .scanner import Gatherer
 from .table import Array, Column, ColumnKind, MessageTable, concat_columns, packet_rows, take_rows
 
@@ -112,7 +112,7 @@ class _Kind:
         variant = decider.variant
         self.message = message
         self.plan = message.plan
-        self.decoder = RowDecoder(self.plan, raw=raw, message=message)
+        self.decoder = row_decoder(message, raw=raw)
         #: Asked of one packet after the other, where rows will not do.
         self.decode: Callable[..., Any] | None = (
             decider.decide([message]) if self.decoder.reason or message.counters else None

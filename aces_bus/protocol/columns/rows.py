@@ -24,7 +24,7 @@ from ..declare.shapes import Shapes
 from ..plan import nodes as p
 from .checks import can_compute, check_holds
 from .lists import ListColumns
-from .shaped import ShapedRows, WideRows
+from .shaped import MovedFields, ShapedRows, WideRows
 from .table import Array, ByteColumn, Column, ColumnKind, cells_of, dtype_of, kinds_of
 
 T = TypeVar("T")
@@ -39,19 +39,24 @@ class PacketRows:
     `keys` are CAN keys or offsets. Words are made when a field asks for them.
     """
 
-    def __init__(self, data: Array, lengths: Array, keys: Array) -> None:
-        if data.shape[1] % 8:
-            wide = np.zeros((len(data), -(-data.shape[1] // 8) * 8), np.uint8)
-            wide[:, : data.shape[1]] = data
-            data = wide
-        self.data = np.ascontiguousarray(data)
+    def __init__(self, data: Array | MovedFields, lengths: Array, keys: Array) -> None:
+        self._moved = data if isinstance(data, MovedFields) else None
+        self._data = _padded(data) if isinstance(data, np.ndarray) else None
         self.lengths = lengths
         self.keys = keys
         self._words: dict[tuple[int, str], Array] = {}
         self._kept: dict[Any, Any] = {}
 
     def __len__(self) -> int:
-        return len(self.data)
+        return len(self.keys)
+
+    @property
+    def data(self) -> Array:
+        """The bytes; those of fields that are there by bits are moved to fixed places when they are first asked for."""
+        if self._data is None:
+            assert self._moved is not None
+            self._data = _padded(self._moved.spread())
+        return self._data
 
     def word(self, index: int, order: str) -> Array:
         """Return the 64-bit word of bytes 8·index to 8·index + 7, read in this byte order; uint64 (n,)."""
@@ -72,7 +77,9 @@ class PacketRows:
         return found
 
     def whole(self, dtype: Any, offset: int) -> Array:
-        """Return the numbers at a byte offset, as they stand in the rows; a view."""
+        """Return the numbers at a byte offset, as they stand in the rows; a view, but of fields that are there by bits."""
+        if self._moved is not None:
+            return self._moved.whole(dtype, offset)
         width = self.data.shape[1]
         return np.ndarray((len(self.data),), dtype, self.data, offset, (width,))
 
@@ -87,6 +94,15 @@ class PacketRows:
     def take(self, which: Any) -> PacketRows:
         """Return some of the rows."""
         return PacketRows(self.data[which], self.lengths[which], self.keys[which])
+
+
+def _padded(data: Array) -> Array:
+    """Return rows whose width words of 64 bits divide."""
+    if data.shape[1] % 8:
+        wide = np.zeros((len(data), -(-data.shape[1] // 8) * 8), np.uint8)
+        wide[:, : data.shape[1]] = data
+        data = wide
+    return np.ascontiguousarray(data)
 
 
 _IS_LITTLE = bool(np.frombuffer(b"\x01\x00", np.uint16)[0] == 1)
@@ -112,6 +128,8 @@ class RowDecoder:
         self._shaped: ShapedRows | None = None
         self._wide: RowDecoder | None = None
         self.reason = self._why_not()
+        #: Columns of numbers of the wire that show 0 as 0, and never as absent.
+        self.keeps_zero = {leaf.path for leaf in plan.columns if _keeps_zero(leaf, raw=raw)}
         #: The field of the message that a column is of, or in.
         self._fields = {leaf.path: leaf.field.name for leaf in plan.columns}
         self._columns: dict[str, Callable[[ColumnKind, PacketRows], Column]] = {}
@@ -225,7 +243,12 @@ class RowDecoder:
             wide = self._wide_rows(rows)
             found = self._wide.column(kind, wide.rows)
             there = wide.there.get(self._fields[kind.name], True)
-            return found if there is True else _without(found, np.broadcast_to(~np.asarray(there), len(rows)))
+            if there is True:
+                return found
+            gone = np.broadcast_to(np.asarray(there) == 0, len(rows))
+            if kind.name in self._wide.keeps_zero:
+                return Column(kind, found.values, gone)
+            return _without(found, gone)
         return self._columns[kind.name](kind, rows)
 
     def present(self, when: p.When, rows: PacketRows) -> Array:
@@ -332,6 +355,21 @@ def _without(column: Column, absent: Array | None) -> Column:
         return Column(column.kind, values, absent)
     bits = np.dtype(f"u{values.dtype.itemsize}")  # by bits, as a choice costs ten times as much
     return Column(column.kind, np.multiply(values.view(bits), ~absent, dtype=bits).view(values.dtype), absent)
+
+
+def _keeps_zero(leaf: p.NodePath, *, raw: bool) -> bool:
+    """Return whether a column is of numbers of the wire, shows 0 as 0, and always shows a number."""
+    node = leaf.node
+    if leaf.is_inside or leaf.whens or not isinstance(node, p.Scalar) or not node.format:
+        return False
+    scales = [step for step in node.steps if isinstance(step, p.Scale | p.ScaleByBit)]
+    return raw or all(isinstance(step, p.Scale) and not step.offset and not step.unknown for step in scales)
+
+
+@lru_cache(maxsize=4096)
+def row_decoder(message: Message, *, raw: bool) -> RowDecoder:
+    """Return the decoder of a message's rows, which scanners share."""
+    return RowDecoder(message.plan, raw=raw, message=message)
 
 
 def _given(

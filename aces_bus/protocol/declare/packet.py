@@ -124,6 +124,9 @@ class PacketStruct(Construct):
     def __init__(self, message: Message) -> None:
         super().__init__()
         self.message = message
+        found = [(head.name, flags_of(head.field)) for head in message.heads_written]
+        #: The header fields of flags, by name.
+        self._flags = {name: flags for name, flags in found if flags is not None}
 
     # ------------------------------------------------------------------ parsing
 
@@ -231,10 +234,9 @@ class PacketStruct(Construct):
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         message = self.message
         raw = is_raw(context)
-        for head in message.heads_written:
-            flags = flags_of(head.field)
-            if flags is not None and head.name in obj:  # what is present by its bits reads the number
-                obj = {**obj, head.name: flags.to_raw(obj[head.name], f"{path} -> {head.name}")}
+        for name, flags in self._flags.items():
+            if name in obj:  # what is present by its bits reads the number
+                obj = {**obj, name: flags.to_raw(obj[name], f"{path} -> {name}")}
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
         )
