@@ -18,21 +18,26 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ._lazy import np
 from .errors import CaptureError
-from .frames import Frame
+from .frames import EXTENDED, FD, REMOTE, Frame
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
 #: What `time` holds where the capture gives none.
 NO_TIME = -(1 << 63)
-#: The 32-bit key's bits above the identifier (`aces_bus.frames`).
-KEY_FD, KEY_REMOTE, KEY_EXTENDED = 1 << 29, 1 << 30, 1 << 31
 
-# Bits of `flags`. RX and TX: neither is set where the capture does not say which way a frame went.
-EXTENDED, REMOTE, FD, ERROR, BITRATE_SWITCH, ERROR_STATE, RX, TX = (1 << bit for bit in range(8))
-_KEY_BITS = ((EXTENDED, KEY_EXTENDED), (REMOTE, KEY_REMOTE), (FD, KEY_FD))
-#: The flags that make a frame anything but a standard data frame.
-UNUSUAL = EXTENDED | REMOTE | FD | ERROR
+
+class FrameFlag:
+    """Bits of `flags`. RX and TX: neither is set where the capture does not say which way a frame went.
+
+    `UNUSUAL` are those that make a frame anything but a standard data frame.
+    """
+
+    EXTENDED, REMOTE, FD, ERROR, BITRATE_SWITCH, ERROR_STATE, RX, TX = (1 << bit for bit in range(8))
+    UNUSUAL = EXTENDED | REMOTE | FD | ERROR
+
+
+_KEY_BITS = ((FrameFlag.EXTENDED, EXTENDED), (FrameFlag.REMOTE, REMOTE), (FrameFlag.FD, FD))
 
 Ints: TypeAlias = "npt.NDArray[Any]"
 
@@ -83,7 +88,7 @@ class FrameTable:
     def key(self) -> Ints:
         """uint32: the identifier with the flags that scanners look messages up by (`aces_bus.frames`)."""
         flags = self.flags
-        if not len(flags) or not int(np.bitwise_or.reduce(flags)) & UNUSUAL:
+        if not len(flags) or not int(np.bitwise_or.reduce(flags)) & FrameFlag.UNUSUAL:
             return self.id
         if (flags[0] == flags).all():
             some = int(flags[0])
@@ -129,6 +134,7 @@ class FrameTable:
         width = self.data.shape[1]
         raw = self.data.tobytes()
         out: list[Frame] = []
+        unusual, received, ways = FrameFlag.UNUSUAL, FrameFlag.RX, FrameFlag.RX | FrameFlag.TX
         rows = zip(
             self.time.tolist(),
             self.channel.tolist(),
@@ -140,8 +146,8 @@ class FrameTable:
         )
         for time, channel, identifier, flags, length, start in rows:
             seconds = None if time == NO_TIME else time / 1_000_000_000
-            way = None if not flags & (RX | TX) else bool(flags & RX)
-            if not flags & UNUSUAL:
+            way = None if not flags & ways else bool(flags & received)
+            if not flags & unusual:
                 out.append(
                     Frame(
                         identifier,
@@ -158,19 +164,19 @@ class FrameTable:
                     )
                 )
                 continue
-            remote = bool(flags & REMOTE)
+            remote = bool(flags & FrameFlag.REMOTE)
             out.append(
                 Frame(
                     identifier,
                     b"" if remote else raw[start : start + length],
                     seconds,
                     names[channel],
-                    bool(flags & EXTENDED),
+                    bool(flags & FrameFlag.EXTENDED),
                     remote,
-                    bool(flags & ERROR),
-                    bool(flags & FD),
-                    bool(flags & BITRATE_SWITCH),
-                    bool(flags & ERROR_STATE),
+                    bool(flags & FrameFlag.ERROR),
+                    bool(flags & FrameFlag.FD),
+                    bool(flags & FrameFlag.BITRATE_SWITCH),
+                    bool(flags & FrameFlag.ERROR_STATE),
                     way,
                     length if remote else None,
                 )
@@ -304,13 +310,13 @@ def _name(channel: Any) -> str | None:
 def _flags(frame: Any) -> int:
     way = frame.is_rx
     return (
-        (EXTENDED if frame.is_extended_id else 0)
-        | (REMOTE if frame.is_remote_frame else 0)
-        | (FD if frame.is_fd else 0)
-        | (ERROR if frame.is_error_frame else 0)
-        | (BITRATE_SWITCH if frame.bitrate_switch else 0)
-        | (ERROR_STATE if frame.error_state_indicator else 0)
-        | (0 if way is None else RX if way else TX)
+        (FrameFlag.EXTENDED if frame.is_extended_id else 0)
+        | (FrameFlag.REMOTE if frame.is_remote_frame else 0)
+        | (FrameFlag.FD if frame.is_fd else 0)
+        | (FrameFlag.ERROR if frame.is_error_frame else 0)
+        | (FrameFlag.BITRATE_SWITCH if frame.bitrate_switch else 0)
+        | (FrameFlag.ERROR_STATE if frame.error_state_indicator else 0)
+        | (0 if way is None else FrameFlag.RX if way else FrameFlag.TX)
     )
 
 

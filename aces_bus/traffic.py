@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 from ._lazy import np
-from .frame_table import ERROR, KEY_EXTENDED, KEY_FD, KEY_REMOTE, NO_TIME, FrameTable, Ints
+from .frame_table import NO_TIME, FrameFlag, FrameTable, Ints
+from .frames import EXTENDED, FD, REMOTE
 
 #: Identifiers that are counted one by one; a bus that works has fewer.
 MOST_IDENTIFIERS = 4096
@@ -42,7 +43,7 @@ class BusIdentifier(NamedTuple):
     @property
     def is_extended(self) -> bool:
         """True if the identifier has 29 bits."""
-        return bool(self.key & KEY_EXTENDED)
+        return bool(self.key & EXTENDED)
 
     @property
     def digits(self) -> str:
@@ -51,7 +52,7 @@ class BusIdentifier(NamedTuple):
 
     def __str__(self) -> str:
         """Return the digits, and what is unusual."""
-        marks = (("remote", self.key & KEY_REMOTE), ("FD", self.key & KEY_FD), ("error", self.is_error))
+        marks = (("remote", self.key & REMOTE), ("FD", self.key & FD), ("error", self.is_error))
         return " ".join([self.digits, *(mark for mark, is_set in marks if is_set)])
 
 
@@ -68,7 +69,7 @@ def rows_of_each(values: Ints) -> list[Ints]:
 
 def identifier_groups(table: FrameTable) -> list[tuple[BusIdentifier, Ints]]:
     """Return the rows of each identifier of a table, in order."""
-    is_error = (table.flags & ERROR != 0).astype(np.uint64)
+    is_error = (table.flags & FrameFlag.ERROR != 0).astype(np.uint64)
     slots = is_error << np.uint64(48) | table.channel.astype(np.uint64) << np.uint64(32) | table.key
     groups = rows_of_each(slots)
     firsts = [int(rows[0]) for rows in groups]
@@ -77,7 +78,7 @@ def identifier_groups(table: FrameTable) -> list[tuple[BusIdentifier, Ints]]:
             BusIdentifier(
                 table.channels.names[int(table.channel[first])],
                 int(table.key[first]),
-                bool(table.flags[first] & ERROR),
+                bool(table.flags[first] & FrameFlag.ERROR),
             ),
             rows,
         )

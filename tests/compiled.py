@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build" / "compiled"
 #: What is copied: all that the tests look at.
 COPIED = (
-    *("aces_bus", "protocols", "devices", "tools", "tests", "examples", "docs", "changelog.d"),
+    *("aces_bus", "protocols", "devices", "tools", "stubs", "tests", "examples", "docs", "changelog.d"),
     *("pyproject.toml", "README.md", "CONTRIBUTING.md", "Makefile", "constraints.txt"),
 )
 SOURCE_ROOTS = (".", "protocols", "devices", "tools")

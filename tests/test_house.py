@@ -26,15 +26,18 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "public names": (179, "what a check covers of the request; quantities of two scales"),
     "members of public names": (900, ""),
     "names of seams": (
-        528,
+        455,
         "names that left the surface; what strangers' plug-ins need; proofs name what they read; files with bodies;"
         " C and Wireshark read plans from the lab",
     ),
     "files in a knot of imports": (16, ""),
     "files that ask nodes for their class": (12, ""),
     "bases with one subclass": (23, "the fetching and the decoder of fields by bits"),
-    "test files that import the inside": (86, "tests of what landed beside it"),
-    "times that Any is written": (3_600, "proofs run generated text on values of any kind; tables of specs"),
+    "test files that import the inside": (40, ""),
+    "times that Any is written": (
+        3_660,
+        "proofs run generated text on values of any kind; tables of specs; rooms over libraries without types",
+    ),
     "docstrings that begin with a riddle": (0, ""),
     "docstrings that do not begin with a verb": (0, ""),
 }

@@ -392,6 +392,7 @@ TOP = {
         "examples",
         "protocols",
         "pyproject.toml",
+        "stubs",
         "tests",
         "tools",
     ),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from ..errors import CallerError, UnknownNameError
 from .events import EventLike
@@ -28,6 +28,40 @@ class Reaction:
     action: Action | None = None
     sources: frozenset[str] | None = None
     do: Callable[[EventLike], object] | None = None
+
+    #: The ways to stop motion, by their words.
+    ACTION_OF: ClassVar[Mapping[str, Action]] = {action: action for action in ACTIONS}
+
+    @staticmethod
+    def parse(
+        texts: Mapping[str, str],
+        *,
+        kinds: Collection[str],
+        sources: Collection[str] | None = None,
+        own: Mapping[str, Callable[[EventLike], object]] | None = None,
+    ) -> dict[str, tuple[Reaction, ...]]:
+        """Parse reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `park`, `disable`, `zero
+        duty`, `degrade`, `degrade:NAME`, or the name of a function in `own`, which is called with the event
+        while motion goes on.
+
+        Raises `UnknownNameError` for a kind, source (None: any) or reaction that there is not.
+
+        >>> Reaction.parse({"silent@FT": "degrade:no feet", "silent": "hold"}, kinds=["silent"])["silent"][1]
+        Reaction(what='stop', name='', action='hold', sources=None, do=None)
+        """
+        found: dict[str, list[Reaction]] = {}
+        for key, word in texts.items():
+            kind, _, named = key.partition("@")
+            among = [name.strip() for name in named.split(",") if name.strip()] or None
+            if kind not in (*kinds, "*"):
+                raise UnknownNameError("kind of fault", kind, (*kinds, "*"))
+            for name in among or ():
+                if sources is not None and name not in sources:
+                    raise UnknownNameError(f"source of {kind!r} (bus, device or controller)", name, sources)
+            made = _reaction(word, kind, among, own or {})
+            # Who is named goes before all others.
+            found.setdefault(kind, []).insert(len(found.get(kind, ())) if among is None else 0, made)
+        return {kind: tuple(reactions) for kind, reactions in found.items()}
 
 
 #: Go on as if nothing had happened; it is counted.
@@ -77,47 +111,14 @@ DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
 
 #: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
 CONTROL_KINDS = ("raised", "failed", "dead-man", "unnamed", "not finite", "log-failed", "log-dropped")
-#: The ways to stop motion, by their words.
-ACTION_OF: Mapping[str, Action] = {action: action for action in ACTIONS}
 #: Words for reactions.
 WORDS = ("ignore", "degrade", *ACTIONS)
-
-
-def parse_reactions(
-    texts: Mapping[str, str],
-    *,
-    kinds: Collection[str],
-    sources: Collection[str] | None = None,
-    own: Mapping[str, Callable[[EventLike], object]] | None = None,
-) -> dict[str, tuple[Reaction, ...]]:
-    """Parse reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `park`, `disable`, `zero
-    duty`, `degrade`, `degrade:NAME`, or the name of a function in `own`, which is called with the event
-    while motion goes on.
-
-    Raises `UnknownNameError` for a kind, source (None: any) or reaction that there is not.
-
-    >>> parse_reactions({"silent@FT": "degrade:no feet", "silent": "hold"}, kinds=["silent"])["silent"][1]
-    Reaction(what='stop', name='', action='hold', sources=None, do=None)
-    """
-    found: dict[str, list[Reaction]] = {}
-    for key, word in texts.items():
-        kind, _, named = key.partition("@")
-        among = [name.strip() for name in named.split(",") if name.strip()] or None
-        if kind not in (*kinds, "*"):
-            raise UnknownNameError("kind of fault", kind, (*kinds, "*"))
-        for name in among or ():
-            if sources is not None and name not in sources:
-                raise UnknownNameError(f"source of {kind!r} (bus, device or controller)", name, sources)
-        made = _reaction(word, kind, among, own or {})
-        # Who is named goes before all others.
-        found.setdefault(kind, []).insert(len(found.get(kind, ())) if among is None else 0, made)
-    return {kind: tuple(reactions) for kind, reactions in found.items()}
 
 
 def _reaction(
     word: str, kind: str, sources: Iterable[str] | None, own: Mapping[str, Callable[[EventLike], object]]
 ) -> Reaction:
-    action = ACTION_OF.get(word)
+    action = Reaction.ACTION_OF.get(word)
     if action is not None:
         return stop(action, sources=sources)
     name, _, more = word.partition(":")

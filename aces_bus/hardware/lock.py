@@ -26,7 +26,7 @@ from ..errors import CallerError
 from ..plain_text import printable
 from ..runtime.loop import Loop
 from .bell import Ringing, StopBell, StopRequest
-from .served.address import is_served, parse_address
+from .served.address import ServedAddress
 
 try:
     import fcntl
@@ -137,8 +137,8 @@ def _opened(path: Path) -> int:
 
 def _whole(channel: str) -> str:
     """Return one name for one line: the target of `/dev/serial/by-id/…`, the path of a served bus."""
-    if is_served(channel):
-        return str(parse_address(channel))
+    if ServedAddress.is_served(channel):
+        return str(ServedAddress.parse(channel))
     return os.path.realpath(channel) if channel.startswith("/") else channel
 
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from .._lazy import np
 from ..errors import AcesError
-from ..frame_table import EXTENDED, FrameTable
+from ..frame_table import FrameFlag, FrameTable
 from . import Variant
 from .columns.decode import feed
 from .columns.scanner import make_column_scanner
@@ -129,7 +129,7 @@ def _is_told(variant: Variant, piece: FrameTable) -> bool:
     )
     if tested >= TESTED * scanner.counts.decoded:
         return True
-    is_extended = frames.flags & EXTENDED != 0
+    is_extended = frames.flags & FrameFlag.EXTENDED != 0
     anywhere = np.random.default_rng(0).integers(0, np.where(is_extended, 1 << 29, 1 << 11))
     scanner = _scanner(variant)
     scanner.feed(replace(frames, id=anywhere.astype(frames.id.dtype)))

@@ -10,10 +10,11 @@ Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from decimal import Decimal
 from math import isfinite
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import msgspec
 
@@ -125,6 +126,14 @@ class Unknown(Record, frozen=True, gc=False):
 
     def __repr__(self) -> str:
         return f"Unknown(reason={self.reason!r}, raw={self.meta.raw.hex()})"
+
+
+#: What a field may be given: a number, a name of an enumeration, names of flags, text, bytes, a list, a group of fields;
+#: None where it is not known.
+FieldValue: TypeAlias = (
+    "float | str | bytes | Part | AbstractSet[int | str] | Values | Mapping[str, FieldValue] | None"
+)
+Values: TypeAlias = "Sequence[FieldValue]"
 
 
 def protocol_name_of(kind: type[Record]) -> str:

@@ -24,7 +24,7 @@ import msgspec
 
 from .._lazy import np
 from ..errors import CallerError
-from ..frame_table import ERROR, EXTENDED, REMOTE, FrameTable
+from ..frame_table import FrameFlag, FrameTable
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -163,10 +163,10 @@ def passing(wanted: CanFilter, table: FrameTable) -> Mask:
     >>> passing(parse_filter("060:7F0"), frames).tolist()
     [False, True, True, False]
     """
-    is_error = table.flags & ERROR != 0
+    is_error = table.flags & FrameFlag.ERROR != 0
     word = table.id.astype(np.uint32)
-    word |= (table.flags & EXTENDED != 0) * np.uint32(EFF)
-    word |= (table.flags & REMOTE != 0) * np.uint32(RTR)
+    word |= (table.flags & FrameFlag.EXTENDED != 0) * np.uint32(EFF)
+    word |= (table.flags & FrameFlag.REMOTE != 0) * np.uint32(RTR)
     passed = np.zeros(len(table), np.bool_)
     for interface_filter in wanted.sets:
         data = np.full(len(table), not interface_filter.rules or interface_filter.join)

@@ -45,19 +45,93 @@ class Relabel:
 KeyedTable = tuple[Ints, FrameTable]
 
 
-def merge_by_time(
-    captures: Sequence[Iterable[FrameTable]], relabel: Relabel | None = None
-) -> Iterator[FrameTable]:
-    """Return the tables of several captures as those of one, by time; of equal times the first capture's come first.
+class Merge:
+    """Tables of several sources as those of a single one."""
 
-    >>> from aces_bus import Frame
-    >>> a = FrameTable.from_frames([Frame(1, timestamp=0.0), Frame(1, timestamp=2.0)])
-    >>> b = FrameTable.from_frames([Frame(2, timestamp=1.0), Frame(2, timestamp=3.0)])
-    >>> [int(id) for table in merge_by_time([[a], [b]]) for id in table.id]
-    [1, 2, 1, 2]
-    """
-    shared = relabel or Relabel({})
-    return merge_by_key([_keyed(tables, shared) for tables in captures])
+    @staticmethod
+    def by_time(
+        captures: Sequence[Iterable[FrameTable]], relabel: Relabel | None = None
+    ) -> Iterator[FrameTable]:
+        """Return the tables of several captures as those of one, by time; of equal times the first capture's come first.
+
+        >>> from aces_bus import Frame
+        >>> a = FrameTable.from_frames([Frame(1, timestamp=0.0), Frame(1, timestamp=2.0)])
+        >>> b = FrameTable.from_frames([Frame(2, timestamp=1.0), Frame(2, timestamp=3.0)])
+        >>> [int(id) for table in Merge.by_time([[a], [b]]) for id in table.id]
+        [1, 2, 1, 2]
+        """
+        shared = relabel or Relabel({})
+        return Merge.by_key([_keyed(tables, shared) for tables in captures])
+
+    @staticmethod
+    def by_key(sources: Iterable[Iterator[KeyedTable]]) -> Iterator[FrameTable]:
+        """Yield the tables of several sources as those of one, in the order of their keys; of equal keys the first
+        source's first.
+
+        None of the tables is empty, and all share their `channels`.
+        """
+        live = [(source, piece) for source in sources if (piece := next(source, None)) is not None]
+        while len(live) > 1:
+            ends = [int(key[-1]) for _, (key, _) in live]
+            edge = min(ends)
+            # Behind the piece that ends first there may be more with its key: they come before those of the next sources.
+            first = ends.index(edge)
+            parts: list[KeyedTable] = []
+            rest: list[tuple[Iterator[KeyedTable], KeyedTable]] = []
+            for place, (source, (key, table)) in enumerate(live):
+                end = int(np.searchsorted(key, edge, "right" if place <= first else "left"))
+                if end:
+                    parts.append((key[:end], table.take(slice(0, end))))
+                after = (key[end:], table.take(slice(end, None))) if end < len(key) else next(source, None)
+                if after is not None:
+                    rest.append((source, after))
+            live = rest
+            order = np.argsort(np.concatenate([key for key, _ in parts]), kind="stable")
+            places = np.empty(len(order), np.int64)
+            places[order] = np.arange(len(order))
+            bounds = np.cumsum([len(key) for key, _ in parts])[:-1]
+            yield Merge.in_order(len(order), np.split(places, bounds), [table for _, table in parts])
+        for source, (_, table) in live:
+            yield table
+            yield from (more for _, more in source)
+
+    @staticmethod
+    def in_order(total: int, places: Sequence[Ints], parts: Sequence[FrameTable]) -> FrameTable:
+        """Return the rows of `parts`, which are at `places` (each going up, none twice) among `total`, as one table.
+
+        Places without a row are closed up.
+        """
+        if len(parts) == 1:
+            return parts[0]
+        count = sum(map(len, parts))
+        if count < total:
+            taken = np.zeros(total, np.int64)
+            for here in places:
+                taken[here] = 1
+            row = np.cumsum(taken) - 1
+            places = [row[here] for here in places]
+        width = max(part.data.shape[1] for part in parts)
+
+        def column(of: Callable[[FrameTable], Ints]) -> Ints:
+            out: Ints = np.empty(count, of(parts[0]).dtype)
+            for here, part in zip(places, parts, strict=True):
+                out[here] = of(part)
+            return out
+
+        item = np.dtype(
+            "<u8" if width == 8 else (np.void, width)
+        )  # whole rows are moved faster than their bytes
+        return FrameTable(
+            column(lambda part: part.time),
+            column(lambda part: part.channel),
+            column(lambda part: part.id),
+            column(lambda part: part.flags),
+            column(lambda part: part.length),
+            column(lambda part: widened(part.data, width).view(item)[:, 0])
+            .view(np.uint8)
+            .reshape(count, width),
+            parts[0].channels,
+        )
 
 
 def _keyed(tables: Iterable[FrameTable], relabel: Relabel) -> Iterator[KeyedTable]:
@@ -70,69 +144,3 @@ def _keyed(tables: Iterable[FrameTable], relabel: Relabel) -> Iterator[KeyedTabl
             key = np.maximum(np.maximum.accumulate(table.time), latest)
             latest = int(key[-1])
             yield key, relabel(table)
-
-
-def merge_by_key(sources: Iterable[Iterator[KeyedTable]]) -> Iterator[FrameTable]:
-    """Yield the tables of several sources as those of one, in the order of their keys; of equal keys the first
-    source's first.
-
-    None of the tables is empty, and all share their `channels`.
-    """
-    live = [(source, piece) for source in sources if (piece := next(source, None)) is not None]
-    while len(live) > 1:
-        ends = [int(key[-1]) for _, (key, _) in live]
-        edge = min(ends)
-        # Behind the piece that ends first there may be more with its key, and they come before those of the next sources.
-        first = ends.index(edge)
-        parts: list[KeyedTable] = []
-        rest: list[tuple[Iterator[KeyedTable], KeyedTable]] = []
-        for place, (source, (key, table)) in enumerate(live):
-            end = int(np.searchsorted(key, edge, "right" if place <= first else "left"))
-            if end:
-                parts.append((key[:end], table.take(slice(0, end))))
-            after = (key[end:], table.take(slice(end, None))) if end < len(key) else next(source, None)
-            if after is not None:
-                rest.append((source, after))
-        live = rest
-        order = np.argsort(np.concatenate([key for key, _ in parts]), kind="stable")
-        places = np.empty(len(order), np.int64)
-        places[order] = np.arange(len(order))
-        bounds = np.cumsum([len(key) for key, _ in parts])[:-1]
-        yield merge_in_order(len(order), np.split(places, bounds), [table for _, table in parts])
-    for source, (_, table) in live:
-        yield table
-        yield from (more for _, more in source)
-
-
-def merge_in_order(total: int, places: Sequence[Ints], parts: Sequence[FrameTable]) -> FrameTable:
-    """Return the rows of `parts`, which are at `places` (each going up, none twice) among `total`, as one table.
-
-    Places without a row are closed up.
-    """
-    if len(parts) == 1:
-        return parts[0]
-    count = sum(map(len, parts))
-    if count < total:
-        taken = np.zeros(total, np.int64)
-        for here in places:
-            taken[here] = 1
-        row = np.cumsum(taken) - 1
-        places = [row[here] for here in places]
-    width = max(part.data.shape[1] for part in parts)
-
-    def column(of: Callable[[FrameTable], Ints]) -> Ints:
-        out: Ints = np.empty(count, of(parts[0]).dtype)
-        for here, part in zip(places, parts, strict=True):
-            out[here] = of(part)
-        return out
-
-    item = np.dtype("<u8" if width == 8 else (np.void, width))  # whole rows are moved faster than their bytes
-    return FrameTable(
-        column(lambda part: part.time),
-        column(lambda part: part.channel),
-        column(lambda part: part.id),
-        column(lambda part: part.flags),
-        column(lambda part: part.length),
-        column(lambda part: widened(part.data, width).view(item)[:, 0]).view(np.uint8).reshape(count, width),
-        parts[0].channels,
-    )

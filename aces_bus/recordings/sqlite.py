@@ -24,7 +24,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..errors import CallerError, CaptureError
-from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable, ns_of
+from ..frame_table import FrameFlag, FrameTable, ns_of
 from ..frames import FD_LENGTHS, Frame
 from .base import REMOTE_AND_ERROR, CanRecording
 from .source import on_disk
@@ -207,10 +207,10 @@ class SqliteCapture(CanRecording):
         if is_odd.any():
             return self._one_by_one(zip(*columns, strict=True))
         flags = (
-            (wide != 0) * np.uint8(EXTENDED)
-            | (asks != 0) * np.uint8(REMOTE)
-            | (faulty != 0) * np.uint8(ERROR)
-            | is_fd * np.uint8(FD)
+            (wide != 0) * np.uint8(FrameFlag.EXTENDED)
+            | (asks != 0) * np.uint8(FrameFlag.REMOTE)
+            | (faulty != 0) * np.uint8(FrameFlag.ERROR)
+            | is_fd * np.uint8(FrameFlag.FD)
         )
         width = 64 if is_fd.any() else 8
         self.lines += n

@@ -23,7 +23,7 @@ from ..hardware.datagram import DatagramGate
 from ..hardware.lock import BusLock
 from ..hardware.ports import port_of
 from ..hardware.serial import SerialGate
-from ..hardware.served.address import is_served
+from ..hardware.served.address import ServedAddress
 from ..hardware.simulated.bus import NO_FAULTS, Faults, SimulatedBus
 from ..hardware.simulated.datagrams import SimulatedDatagrams
 from ..hardware.simulated.serial_line import Noise, SimulatedSerialLine
@@ -58,7 +58,7 @@ def gate_of(
         raise CallerError(f"bus {bus.name}: which channel? The robot's file does not say; give one")
     if bus.link == "can":
         rate = bus.bitrate or protocol.bitrate
-        interface = bus.interface or ("aces" if is_served(channel) else None)
+        interface = bus.interface or ("aces" if ServedAddress.is_served(channel) else None)
         whole = {"channel": channel, **({"interface": interface} if interface else {})}
         if rate:
             whole["bitrate"] = rate
@@ -97,7 +97,7 @@ def _address(bus: Bus, text: str) -> tuple[str, int]:
 def lock_of(bus: Bus, options: Mapping[str, Any]) -> BusLock | None:
     """Return the lock of who drives a robot's bus, not taken; `options` as of `gate_of`. None: it is within this process."""
     channel = str(options.get("channel") or bus.channel or options.get("bind"))
-    is_inside = options.get("interface", bus.interface) in IN_PROCESS and not is_served(channel)
+    is_inside = options.get("interface", bus.interface) in IN_PROCESS and not ServedAddress.is_served(channel)
     return None if is_inside else BusLock(channel, bus.name)
 
 

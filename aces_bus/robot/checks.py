@@ -22,7 +22,7 @@ from ..device.config import Bus, DeviceConfig, Input, Joint, Robot, Sensor
 from ..device.drivers import list_drivers
 from ..device.events import Kind
 from ..errors import AcesError, CallerError, UnknownNameError
-from ..hardware.served.address import is_served, parse_address
+from ..hardware.served.address import ServedAddress
 from ..kinematics.bodies import BODIES, body_format
 from ..protocol import Protocol
 from ..protocol.files import list_protocols, load_protocol, python_file
@@ -215,13 +215,13 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
 
 def _check_served(path: tuple[str, ...], bus: Bus, complain: Complain) -> None:
     """Complain about an address of a served bus that cannot be one, or stands where no served bus can be joined."""
-    if bus.link != "can" or not is_served(bus.channel):
+    if bus.link != "can" or not ServedAddress.is_served(bus.channel):
         return
     if bus.interface not in (None, "aces"):
         complain(path, f"{bus.channel!r} is the address of a served bus; that is interface = 'aces', or none")
         return
     try:
-        parse_address(str(bus.channel))
+        ServedAddress.parse(str(bus.channel))
     except CallerError as error:
         complain(path, str(error))
 

@@ -19,7 +19,7 @@ from ..controller import IGNORE, Guard, Supervisor, bounds_of
 from ..controller.base import ControllerLike
 from ..controller.events import EventLike, Listeners
 from ..controller.limiter import Bounds
-from ..controller.reactions import Reaction, parse_reactions
+from ..controller.reactions import Reaction
 from ..controller.trip import Action
 from ..device import Device
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
@@ -99,7 +99,7 @@ class Runner:
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise CallerError(f"two controllers or loggers have one name: {', '.join(sorted(double))}")
-        declared = parse_reactions(
+        declared = Reaction.parse(
             rig.robot.reactions,
             kinds=KINDS_OF_FAULTS,
             sources=(*rig.robot.buses, *rig.robot.devices, *names),

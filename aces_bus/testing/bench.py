@@ -22,7 +22,7 @@ from ..protocol.encoder import Encoder
 from ..protocol.live.scanner import Scanner, make_scanner
 from ..protocol.reference import Reference, ReferenceItem
 from .packets import draw_packet
-from .scenes import Scene, Way, Wire, cast, wire_variants
+from .scenes import Cast, Scene, Way, Wire, wire_variants
 from .source import Dice
 
 #: Bytes of a usual packet.
@@ -99,7 +99,7 @@ class Bench:
         dice = Dice(0)
         sizes = [
             len(draw_packet(m, dice, v).image)
-            for v, m in cast(self.wire, self.direction).messages
+            for v, m in Cast.of(self.wire, self.direction).messages
             for _ in range(4)
         ]
         return min(1.0, sum(sizes) / len(sizes) / USUAL)
@@ -107,12 +107,12 @@ class Bench:
     @cached_property
     def has_transports(self) -> bool:
         """True if some messages are carried in several frames."""
-        return any(m.transport is not None for _, m in cast(self.wire, self.direction).messages)
+        return any(m.transport is not None for _, m in Cast.of(self.wire, self.direction).messages)
 
     @cached_property
     def by_name(self) -> dict[tuple[str, str], Message]:
         """The messages of the wire by the names of protocol and message."""
-        return {(v.name, m.name): m for v, m in cast(self.wire, self.direction).messages}
+        return {(v.name, m.name): m for v, m in Cast.of(self.wire, self.direction).messages}
 
     @cached_property
     def contextual(self) -> frozenset[tuple[str, str]]:
@@ -131,7 +131,7 @@ class Bench:
     def framings(self) -> list[tuple[Variant, Framing, tuple[Message, ...]]]:
         """Each framing of the wire with its messages."""
         found: dict[tuple[Variant, Framing], list[Message]] = {}
-        for variant, message in cast(self.wire, self.direction).messages:
+        for variant, message in Cast.of(self.wire, self.direction).messages:
             if message.framing is not None:
                 found.setdefault((variant, message.framing), []).append(message)
         return [(variant, framing, tuple(messages)) for (variant, framing), messages in found.items()]

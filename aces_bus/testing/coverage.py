@@ -24,7 +24,6 @@ from .trial import Trial
 
 #: (protocol, kind, name): kind is "message", "field", "value" or "template".
 Feature = tuple[str, str, str]
-KINDS = ("message", "field", "value", "template")
 
 
 def expected(bench: Bench) -> set[Feature]:
@@ -173,7 +172,7 @@ class Coverage:
     def never(self, protocol: str | None = None) -> list[Feature]:
         """Return what was expected and never reached, in the order of `KINDS`."""
         left = [f for f in self.expected if f not in self.reached and protocol in (None, f[0])]
-        return sorted(left, key=lambda f: (f[0], KINDS.index(f[1]), f[2]))
+        return sorted(left, key=lambda f: (f[0], Coverage.KINDS.index(f[1]), f[2]))
 
     def parts(self, protocol: str, kind: str) -> tuple[int, int]:
         """Return how many features of a kind were reached, and how many there are."""
@@ -191,6 +190,8 @@ class Coverage:
         """The names of the protocols, sorted."""
         return sorted({f[0] for f in self.expected})
 
+    KINDS = ("message", "field", "value", "template")
+
 
 #: What a reason for a loss says about the template.
 _WHY = (
@@ -201,4 +202,4 @@ _WHY = (
 )
 
 
-__all__ = ["KINDS", "Coverage", "Feature", "expected"]
+__all__ = ["Coverage", "Feature", "expected"]

@@ -61,7 +61,7 @@ def parts_of(con: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(con, BitLayout):
         yield from ((slot.name, slot.field) for slot in con.slots)
         return
-    inner = list(getattr(con, "subcons", ()))
+    inner: list[Any] = list(getattr(con, "subcons", ()))
     if isinstance(con, Multiplexed):
         inner.append(con.body)
     elif isinstance(con, c.IfThenElse):

@@ -40,7 +40,7 @@ from .columns import MODES, columns_difference
 from .encoders import encoders
 from .exemptions import Exemption, are_excused, exemptions
 from .packets import DrawnPacket
-from .scenes import Scene, Way, Wire, adversary, cast, draw_cuts, draw_scene, wire_variants
+from .scenes import Cast, Scene, Way, Wire, adversary, draw_cuts, draw_scene, wire_variants
 from .source import ChoiceSource
 from .trial import (
     Law,
@@ -269,7 +269,7 @@ def resynchronisation(trial: Trial) -> None:
 
 
 def _no_frame_overlooked(trial: Trial) -> None:
-    who = cast(trial.bench.wire, trial.direction)
+    who = Cast.of(trial.bench.wire, trial.direction)
     scanned = trial.scanned
     if trial.bench.has_transports:
         _no_packet_overlooked(trial)
@@ -298,7 +298,7 @@ def _no_packet_overlooked(trial: Trial) -> None:
     overrides its own is found as that one.
     """
     overriding: dict[str, set[str]] = {}
-    for _, message in cast(trial.bench.wire, trial.direction).messages:
+    for _, message in Cast.of(trial.bench.wire, trial.direction).messages:
         for name in message.overrides:
             overriding.setdefault(name, set()).add(message.name)
     found = {item.message for item in trial.scanned}

@@ -57,10 +57,10 @@ class Cast:
     framings: tuple[Framing, ...]
     can_send: bool
 
-
-def cast(wire: Wire, direction: Way) -> Cast:
-    """Return who may speak on a wire in a direction."""
-    return _cast(wire_variants(wire), direction)
+    @staticmethod
+    def of(wire: Wire, direction: Way) -> Cast:
+        """Return who may speak on a wire in a direction."""
+        return _cast(wire_variants(wire), direction)
 
 
 @lru_cache(maxsize=1024)
@@ -77,7 +77,7 @@ def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
     """Return a byte stream of about `size` bytes: packets of any message, whole and damaged, and what only looks like
     them.
     """
-    who = cast(wire, direction)
+    who = Cast.of(wire, direction)
     data = bytearray()
     idle_at: list[int] = []
     sent_at: list[tuple[int, Any]] = []
@@ -90,7 +90,7 @@ def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
             idle_at.append(len(data))
             continue
         if how >= 26:
-            data += garbage(who, part)
+            data += Damage.garbage(who, part)
             continue
         packet = _pick(who, part)
         if packet.request is not None and part.integer(0, 7):
@@ -99,7 +99,7 @@ def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
         if how < 17:
             packets.append(packet)
         elif how < 24:
-            piece = damaged_packet(packet, how - 17, part)
+            piece = Damage.packet(packet, how - 17, part)
         elif how == 24:
             at = part.integer(0, len(piece))
             piece = piece[:at] + _pick(who, part).image + piece[at:]
@@ -131,24 +131,93 @@ def _ask(
         sent_at.append((len(data), request.image))
 
 
-#: In how many ways a packet is damaged.
-PACKET_DAMAGES = 7
+class Damage:
+    """Packets and frames made wrong, in a number of ways each."""
 
+    #: In how many ways a packet is damaged.
+    OF_PACKET = 7
+    #: In how many ways a frame is damaged.
+    OF_FRAME = 10
 
-def damaged_packet(packet: DrawnPacket, how: int, source: ChoiceSource) -> bytes:
-    """Return a stream's packet with something wrong: other contents, cut short, bits flipped, a false header before it."""
-    piece = packet.image
-    if how == 0:
-        return _rewrapped(packet, source)
-    if how == 1:
-        return piece[: source.integer(0, len(piece) - 1)]
-    if how == 2:
-        return piece[source.integer(1, len(piece)) :]
-    if how < 5:
-        return _flipped(piece, source)
-    if how == 5:
-        return _header(packet, source) + piece
-    return _overwritten(packet, source)
+    @staticmethod
+    def packet(packet: DrawnPacket, how: int, source: ChoiceSource) -> bytes:
+        """Return a stream's packet with something wrong: other contents, cut, bits flipped, a false header before it."""
+        piece = packet.image
+        if how == 0:
+            return _rewrapped(packet, source)
+        if how == 1:
+            return piece[: source.integer(0, len(piece) - 1)]
+        if how == 2:
+            return piece[source.integer(1, len(piece)) :]
+        if how < 5:
+            return _flipped(piece, source)
+        if how == 5:
+            return _header(packet, source) + piece
+        return _overwritten(packet, source)
+
+    @staticmethod
+    def garbage(who: Cast, source: ChoiceSource) -> bytes:
+        """Draw bytes of no packet: random, or made of what the framings look for."""
+        size = source.integer(1, 24)
+        how = source.integer(0, 3)
+        framing = source.choice(who.framings)
+        marks = framing.sync or framing.end
+        if how == 0 or not marks:
+            return source.bytes(size)
+        if how == 1:
+            return (marks * size)[:size]
+        if how == 2:
+            pieces = [
+                marks[: source.integer(0, len(marks))],
+                source.bytes(1),
+                framing.end,
+                b"\xff",
+                framing.short_end or b"\x00",
+            ]
+            return b"".join(source.choice(pieces) for _ in range(size))
+        byte = bytes([source.integer(0, 255)])
+        if framing.not_inside and byte not in framing.not_inside + framing.end:
+            return framing.sync + byte * framing.max_size  # chance alone hardly ever leaves out an end
+        return byte * size
+
+    @staticmethod
+    def frame(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
+        """Return a frame with something wrong: shorter, longer, bits flipped, another identifier or kind."""
+        data = frame.data
+        if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
+            return replace(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
+        if how in (0, 1):
+            shorter = _legal(source.integer(0, max(0, len(data) - 1)), fd=frame.is_fd)
+            return replace(frame, data=data[:shorter]) if data else frame
+        if how in (2, 3):
+            longer = _legal(source.integer(len(data), 64 if frame.is_fd else 8), fd=frame.is_fd)
+            return (
+                frame
+                if frame.is_remote_frame
+                else replace(frame, data=(data + source.bytes(longer))[:longer])
+            )
+        if how in (4, 5):
+            return replace(frame, data=_flipped(data, source)) if data else frame
+        if how == 6:
+            limit = 0x1FFF_FFFF if frame.is_extended_id else 0x7FF
+            return replace(
+                frame,
+                arbitration_id=(frame.arbitration_id ^ 1 << source.integer(0, limit.bit_length() - 1))
+                & limit,
+            )
+        if how == 7:
+            return replace(
+                frame,
+                data=b"",
+                is_remote_frame=True,
+                is_fd=False,
+                dlc=source.choice((None, source.integer(0, 8))),
+            )
+        if how == 8:
+            return replace(frame, is_remote_frame=False, is_fd=not frame.is_fd, data=data[:8], dlc=None)
+        if frame.is_extended_id:
+            return replace(frame, is_extended_id=False, arbitration_id=frame.arbitration_id & 0x7FF)
+        return replace(frame, is_extended_id=True)
 
 
 def _flipped(piece: bytes, source: ChoiceSource) -> bytes:
@@ -220,34 +289,9 @@ def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
         return packet.image
 
 
-def garbage(who: Cast, source: ChoiceSource) -> bytes:
-    """Draw bytes of no packet: random, or made of what the framings look for."""
-    size = source.integer(1, 24)
-    how = source.integer(0, 3)
-    framing = source.choice(who.framings)
-    marks = framing.sync or framing.end
-    if how == 0 or not marks:
-        return source.bytes(size)
-    if how == 1:
-        return (marks * size)[:size]
-    if how == 2:
-        pieces = [
-            marks[: source.integer(0, len(marks))],
-            source.bytes(1),
-            framing.end,
-            b"\xff",
-            framing.short_end or b"\x00",
-        ]
-        return b"".join(source.choice(pieces) for _ in range(size))
-    byte = bytes([source.integer(0, 255)])
-    if framing.not_inside and byte not in framing.not_inside + framing.end:
-        return framing.sync + byte * framing.max_size  # chance alone hardly ever leaves out an end
-    return byte * size
-
-
 def adversary(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 3000) -> bytes:
     """Draw headers that all promise a long packet: what costs a scanner most."""
-    framing = source.choice(cast(wire, direction).framings)
+    framing = source.choice(Cast.of(wire, direction).framings)
     unit = bytearray(framing.sync)
     for head in framing.heads:
         unit += source.choice((b"\x01", framing.sync[:1] or b"\0", b"\xfe", source.bytes(1))) * head.size
@@ -273,7 +317,7 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
 
     Packets of several frames are under way at the same time; frames of them are lost, come twice or in another order.
     """
-    who = cast(wire, direction)
+    who = Cast.of(wire, direction)
     frames: list[Frame] = []
     under_way: list[list[Frame]] = []
     sent_at: list[tuple[int, Any]] = []
@@ -328,7 +372,7 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
         if how < 20:
             packets.append(packet)
         else:
-            frame = damaged_frame(frame, packet.message, how - 20, part)
+            frame = Damage.frame(frame, packet.message, how - 20, part)
         frames.append(frame)
     for left in under_way:
         # Some packets are whole; of others the scene has only the beginning.
@@ -358,7 +402,7 @@ def _jumbled(frames: list[Frame], message: Message, how: int, source: ChoiceSour
     elif how == 7:
         out = out[:at] + frames
     else:
-        out[at] = damaged_frame(out[at], message, source.integer(0, 9), source)
+        out[at] = Damage.frame(out[at], message, source.integer(0, 9), source)
     return out
 
 
@@ -369,44 +413,6 @@ def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
     start, size, order = message.check_span
     wanted = check.compute(message.covered(data, identifier))
     return data[:start] + wanted.to_bytes(size, order) + data[start + size :]
-
-
-#: In how many ways a frame is damaged.
-FRAME_DAMAGES = 10
-
-
-def damaged_frame(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
-    """Return a frame with something wrong: shorter, longer, bits flipped, another identifier or kind."""
-    data = frame.data
-    if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
-        return replace(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
-    if how in (0, 1):
-        shorter = _legal(source.integer(0, max(0, len(data) - 1)), fd=frame.is_fd)
-        return replace(frame, data=data[:shorter]) if data else frame
-    if how in (2, 3):
-        longer = _legal(source.integer(len(data), 64 if frame.is_fd else 8), fd=frame.is_fd)
-        return frame if frame.is_remote_frame else replace(frame, data=(data + source.bytes(longer))[:longer])
-    if how in (4, 5):
-        return replace(frame, data=_flipped(data, source)) if data else frame
-    if how == 6:
-        limit = 0x1FFF_FFFF if frame.is_extended_id else 0x7FF
-        return replace(
-            frame,
-            arbitration_id=(frame.arbitration_id ^ 1 << source.integer(0, limit.bit_length() - 1)) & limit,
-        )
-    if how == 7:
-        return replace(
-            frame,
-            data=b"",
-            is_remote_frame=True,
-            is_fd=False,
-            dlc=source.choice((None, source.integer(0, 8))),
-        )
-    if how == 8:
-        return replace(frame, is_remote_frame=False, is_fd=not frame.is_fd, data=data[:8], dlc=None)
-    if frame.is_extended_id:
-        return replace(frame, is_extended_id=False, arbitration_id=frame.arbitration_id & 0x7FF)
-    return replace(frame, is_extended_id=True)
 
 
 def _legal(size: int, *, fd: bool) -> int:
@@ -447,21 +453,16 @@ def draw_cuts(scene: Scene, source: ChoiceSource) -> tuple[int, ...]:
 
 
 __all__ = [
-    "FRAME_DAMAGES",
-    "PACKET_DAMAGES",
     "Cast",
+    "Damage",
     "Scene",
     "Way",
     "Wire",
     "adversary",
-    "cast",
-    "damaged_frame",
-    "damaged_packet",
     "draw_cuts",
     "draw_frames",
     "draw_scene",
     "draw_stream",
-    "garbage",
     "rechecked",
     "wire_variants",
 ]

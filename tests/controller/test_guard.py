@@ -10,15 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
-from aces_bus import load_robot
-from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
-from aces_bus.controller.limiter import (
-    NOT_FINITE_TRIPS,
-    USUAL_SPEED,
-    _reach,  # pyright: ignore[reportPrivateUsage]  # its far end is out of any guard's reach
-)
+from aces_bus.controller import Bounds, ControlEvent, Guard
 from aces_bus.errors import CallerError
 from tests.controller.fakes import fakes
 
@@ -65,14 +58,6 @@ def test_a_motion_that_stops_at_its_limit_passes() -> None:
     out, guard = guarded(Bounds(-1, values[-1] + 1e-12, 10, 5.0), values)
     assert out == values
     assert guard.clips == {}
-
-
-def test_a_distance_without_bound_is_no_division_by_zero() -> None:
-    """What is 10¹² quanta away is as good as infinitely far: any step may be taken; nothing is, behind the limit."""
-    assert _reach(1e9, 1e-7) == math.inf
-    assert _reach(0.0, 1e-7) == _reach(-1.0, 1e-7) == 0.0
-    assert _reach(0.5, 1.0) == 0.5  # less than one quantum: all of it
-    assert _reach(3.0, 1.0) == 2.0  # 2 + 1
 
 
 @pytest.mark.parametrize(("share", "clips"), [(0.99, 0), (1.01, 1), (1.5, 1)])
@@ -164,24 +149,6 @@ def test_what_is_forgotten_is_the_speed_too() -> None:
     guard.forget()
     out = [guard.apply(n * 10 * MS, {"A": value})["A"] for n, value in ((50, 0.0), (51, 1.0))]
     assert out == [0.0, pytest.approx(2.0 * 0.01**2)]
-
-
-def test_five_in_a_row_that_are_not_finite_trip() -> None:
-    """At the fifth, at once, whatever other states get; and they alone feed no dead-man."""
-    guard = Guard({"A": Bounds(), "B": Bounds()}, period_s=0.01, action="disable")
-    out = [guard.apply(n * 10 * MS, {"A": math.nan, "B": 1.0}) for n in range(NOT_FINITE_TRIPS)]
-    assert out == [{"B": 1.0}] * 4 + [{}]
-    assert guard.tripped is not None
-    assert (guard.tripped.action, guard.tripped.reason) == (
-        "disable",
-        "A: 5 set-points in a row were not finite numbers",
-    )
-    fed = Guard({name: Bounds() for name in "ABCDEFGH"}, period_s=0.01, dead_man_s=0.05)
-    for n in range(7):
-        fed.apply(n * 10 * MS, {"ABCDEFGH"[n]: math.inf})
-    assert fed.tick(70 * MS) == {}
-    assert fed.tripped is not None
-    assert fed.tripped.reason == "no set-points for 70 ms"
 
 
 def test_unlisted_states_are_refused_or_passed() -> None:
@@ -304,21 +271,6 @@ def test_odd_instants_do_no_harm(values: list[float], gaps: list[int]) -> None:
     for value, gap in zip(values, gaps, strict=False):
         now += gap * MS
         assert -2 <= guard.apply(now, {"A": value})["A"] <= 3
-
-
-def test_bounds_of_a_robot() -> None:
-    """Limits as the file states them; where it states no speed, a joint is led as no file has to say."""
-    robot = load_robot("hubo2plus")
-    bounds = bounds_of(robot)
-    knee = robot.joint("LKP")
-    assert set(bounds) == {joint.name for joint in robot.joints.values() if joint.active}
-    assert (bounds[knee.name].lower, bounds[knee.name].upper) == (knee.lower, knee.upper)
-    assert (bounds[knee.name].rate, bounds[knee.name].acceleration) == (knee.max_speed, math.inf)
-    gentle = bounds_of(robot, nominal=True, acceleration=True)[knee.name]
-    assert (gentle.rate, gentle.acceleration) == (knee.nominal_speed, knee.nominal_acceleration)
-    assert bounds_of(load_robot("hubo2"))["LW1"] == Bounds(rate=USUAL_SPEED["rad"])
-    rail = replace(knee, max_speed=None, nominal_speed=None, type="prismatic")
-    assert bounds_of(replace(robot, joints={rail.name: rail}))[rail.name].rate == USUAL_SPEED["m"]
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,7 @@ from hypothesis import strategies as st
 
 from aces_bus.controller import controller
 from aces_bus.controller.log import Logger, read_log, recover
-from aces_bus.controller.log.base import About, Log, LogError
-from aces_bus.controller.log.columns import LogColumn, parse_column
-from aces_bus.controller.log.formats import log_format, open_sink
+from aces_bus.controller.log.base import Log, LogError
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock
@@ -333,36 +331,6 @@ def test_a_database_that_is_a_trap_is_no_log(tmp_path: Path) -> None:
             read_log(path)
 
 
-@given(
-    st.lists(
-        st.tuples(
-            st.integers(0, 10**15),
-            st.lists(st.floats(allow_infinity=False), min_size=2, max_size=2),
-        ),
-        max_size=30,
-    )
-)
-@every_format
-def test_any_number_survives(
-    tmp_path_factory: pytest.TempPathFactory, suffix: str, rows: list[tuple[int, list[float]]]
-) -> None:
-    """Every float and instant comes back bit for bit, from every format; names may be anything printable."""
-    path = str(tmp_path_factory.mktemp("any") / f"a.{suffix}")
-    about = About((LogColumn("Ä,b.x"), LogColumn('q"(x', "rate", "rad/s")))
-    sink = open_sink(path, log_format(path), about)
-    for row in rows:
-        sink.append([row])
-    sink.close()
-    log = read_log(path)
-    assert log.names == about.names
-    assert log.time_s.tolist() == [ns / 1e9 for ns, _ in rows]
-    given_values = np.array([values for _, values in rows]).reshape(-1, 2)
-    assert np.array_equal(log.values, given_values, equal_nan=True)
-    known = ~np.isnan(given_values)
-    if suffix != "db":  # SQLite keeps -0.0 as 0
-        assert (np.signbit(log.values) == np.signbit(given_values))[known].all()
-
-
 def test_wrong_calls_are_said_before_anything_runs(tmp_path: Path) -> None:
     """Suffixes, attributes, double and missing columns, rates and digits that cannot be are refused when they are said."""
     cases: list[tuple[Callable[[], Any], str]] = [
@@ -399,30 +367,6 @@ def test_a_file_may_be_protected(tmp_path: Path) -> None:
     with pytest.raises(CallerError, match="there is a file already"):
         logger.start(0)
     assert path.read_text() == "precious"
-
-
-def test_columns_are_read_of_their_names() -> None:
-    """An attribute stands in brackets; without one, and for an unknown word in a quantity's own name, it is the value."""
-    assert parse_column("RHY") == LogColumn("RHY")
-    assert parse_column("RHY.velocity(AGE)") == LogColumn("RHY.velocity", "age")
-    assert parse_column("d(hip)/dt").name == "d(hip)/dt"
-    assert parse_column("d(hip)/dt(diff)").original == "d(hip)/dt(diff)"
-
-
-def test_what_was_never_closed_is_recovered(tmp_path: Path) -> None:
-    """A journal that stands alone is read in place of its Parquet file, and becomes one."""
-    pytest.importorskip("pyarrow")
-    path = tmp_path / "a.parquet"
-    sink = open_sink(str(path), "parquet", About((LogColumn("X", unit="m"),)))
-    sink.append([(0, [1.0]), (5 * MS, [math.nan])])
-    log = read_log(path)
-    assert len(log) == 2
-    assert "was not closed" in log.notes[0]
-    assert recover(path) == 2
-    log = read_log(path)
-    assert (log.notes, log.units) == ([], {"X": "m"})
-    with pytest.raises(CallerError, match=r"no a\.parquet\.journal"):
-        recover(path)
 
 
 def test_an_mcap_that_was_never_closed_is_closed(tmp_path: Path) -> None:

@@ -8,21 +8,18 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from aces_bus.controller import ControlEvent, controller
-from aces_bus.controller.log import Logger, logger, read_log
-from aces_bus.controller.log.base import About, LogSink, Row
+from aces_bus.controller import controller
+from aces_bus.controller.log import Logger, read_log
 from aces_bus.export.files import AppendFile
 from aces_bus.robot import run_virtual
-from aces_bus.runtime import RealClock, VirtualClock
+from aces_bus.runtime import VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
 from tests.limits import small_disk
 
@@ -78,108 +75,11 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
             assert "was not closed" in log.notes[0]
 
 
-class Slow(LogSink):
-    """A disk that takes its time: until `goes` is set nothing is written. `asked` is set when it was asked to."""
-
-    format = "slow"
-    goes = threading.Event()
-    rows: list[Row]
-
-    def __init__(self, path: str, about: About) -> None:
-        super().__init__(path, about)
-        self.rows = []
-        self.asked = threading.Event()
-
-    def append(self, rows: Sequence[Row]) -> None:
-        self.asked.set()
-        assert self.goes.wait(60)
-        self.rows += rows
-
-    def close(self) -> None:
-        pass
-
-
-def test_a_slow_disk_never_holds_control_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a disk does not answer, steps return at once; what does not fit is dropped, counted and told once."""
-    made: list[Slow] = []
-
-    def open_slow(path: str, format: str, about: About, digits: int | None) -> Slow:
-        made.append(Slow(path, about))
-        return made[0]
-
-    monkeypatch.setattr(logger, "open_sink", open_slow)
-    monkeypatch.setattr(logger, "KEPT_S", 0.01)
-    Slow.goes.clear()
-    told: list[ControlEvent] = []
-    log = Logger(tmp_path / "a.csv", ["X"], rate_hz=100, queue_s=1.0)
-    log.listeners.add(told.append)
-    log.bind({"X": [1.0]})
-    log.start(RealClock().now())
-    log.step(0)
-    assert made[0].asked.wait(60)  # the writer takes nothing out of the queue any more
-    for i in range(1, 10_000):
-        log.step(i * 10 * MS)
-    assert made[0].rows == []  # the disk has not answered once: no step waited for it
-    assert log.dropped >= 10_000 - 2 * log.capacity
-    assert [event.kind for event in told] == ["log-dropped"]
-    assert told[0].source == "log a.csv"
-    Slow.goes.set()
-    log.stop(0)
-    assert log.written == len(made[0].rows)
-    assert log.written + log.dropped == 10_000
-    assert f"{log.dropped} dropped" in told[-1].detail
-    assert threading.active_count() == 1 or not any(t.name == log.name for t in threading.enumerate())
-
-
 @pytest.fixture(name="small_disk")
 def of_60_kb() -> Iterator[int]:
     """No file may grow beyond 60 kB."""
     with small_disk(60_000):
         yield 60_000
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("is_real", [False, True])
-def test_a_full_disk_is_told_once_and_nothing_stops(
-    tmp_path: Path, small_disk: int, suffix: str, is_real: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Steps go on, one event says which file and why, every row is written or counted, and what is there reads back."""
-    if suffix == "parquet":
-        pytest.importorskip("pyarrow")
-    monkeypatch.setattr(logger, "KEPT_S", 0.01)
-    path = tmp_path / f"a.{suffix}"
-    value = [0.0]
-    clock: Any = RealClock() if is_real else VirtualClock()
-    log = Logger(path, [f"X{i}" for i in range(40)], rate_hz=100, clock=clock, queue_s=30)
-    log.bind({f"X{i}": value for i in range(40)})
-    log.start(clock.now())
-    for i in range(1000):
-        value[0] = i / 7
-        log.step(i * 10 * MS)
-        if is_real and i % 100 == 99:
-            wait_until_idle(log)
-    log.stop(clock.now())
-    failures = [event for event in log.events if "log-failed" in event.kind]
-    # One while it ran; formats with an index at the end say that there is none, too.
-    assert len(failures) <= 2
-    assert str(path) in failures[0].detail
-    assert log.dropped == 0
-    assert log.lost > 0
-    assert log.written + log.lost == 1000
-    assert log.failure
-    found = read_log(path)
-    # A smaller piece may fit where a larger did not: what is there is whole rows in order, with gaps.
-    rows = found["X3"].tolist()
-    assert len(rows) == log.written
-    assert rows == sorted({i / 7 for i in range(1000)} & set(rows))
-    assert all(os.path.getsize(one) <= small_disk for one in tmp_path.iterdir())
-
-
-def wait_until_idle(log: Logger) -> None:
-    """Until the writer has taken all that waits."""
-    end = time.monotonic() + 5
-    while log._queue and time.monotonic() < end:
-        threading.Event().wait(0.002)
 
 
 @pytest.mark.slow

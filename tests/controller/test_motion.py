@@ -15,9 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.controller import Trajectory, read_trajectory
-from aces_bus.controller.motion import Interpolation, sampled, smooth_step
-from aces_bus.controller.motion_file import TrajectoryError
-from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.controller.motion import Interpolation
+from aces_bus.errors import CallerError
 from aces_devices.kinematics.minihubo import read_walk, walk_columns
 
 HEADED = ["100hz", "50hz", "fivedeg", "zero", "handwave_100hz_deg"]
@@ -72,16 +71,6 @@ def test_walks_have_the_robots_names(shared_captures: Path) -> None:
     assert legs.names == tuple(walk_columns(13))
 
 
-@pytest.mark.shared
-def test_degrees_and_rates_in_names(shared_captures: Path) -> None:
-    """The hand wave is in degrees, at the rate its name says; the test script's name says none."""
-    wave = read_trajectory(shared_captures / "trajectory/handwave_100hz_deg.txt", unit="deg")
-    assert wave.rate_hz == 100.0
-    assert wave.rows[0, 1] == pytest.approx(math.radians(-21.101257))
-    with pytest.raises(TrajectoryError, match="give rate_hz"):
-        read_trajectory(shared_captures / "trajectory/testscript.scp")
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -97,67 +86,6 @@ def test_line_ends_blanks_and_a_last_row_without_an_end(text: str) -> None:
     table = read(text)
     assert table.names == ("A", "B")
     assert table.rows.tolist() == [[1, 2], [3, 4]]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "empty"),
-        ("\n \r\n", "empty"),
-        ("A B\n", "no row of numbers"),
-        ("A B\n1 2\n3\n", ":3: 1 numbers where the lines before have 2"),
-        ("A B\n1 2 3\n", ":2: 3 numbers"),
-        ("A B\n1 2\n3 x\n", ":3: column 2: 'x' is not a number"),
-        ("A B\n1 nan\n", ":2: column 2: 'nan' is not a number"),
-        ("A B\n1 inf\n", "'inf' is not a number"),
-        ("A B\n1 1e999\n", "'1e999' is not a number"),
-        ("A B\n1 1_0\n", "'1_0' is not a number"),
-        ("A B\n1,5 2\n", "'1,5' is not a number"),
-        ("A 1\n1 2\n", ":1: names and numbers in one line: 'A 1'"),
-        ("A A\n1 2\n", ":1: A named twice"),
-        ("1 2\n3 4\n", "2 columns without names"),
-        (b"\xff\xfe\x00\n1 2\n", "text file"),
-        (b"A\x01 B\n1 2\n", "text file"),
-        ("A\n" + "1" * 40_000, ":2: more than 32768 characters"),
-        (" ".join("1" for _ in range(1001)), "more than 1000 columns"),
-    ],
-)
-def test_a_file_that_is_none_says_where_and_why(text: str | bytes, message: str) -> None:
-    """File, line, and what stands there."""
-    with pytest.raises(TrajectoryError, match=message):
-        read(text)
-
-
-def test_names_for_columns() -> None:
-    """Given ones name a file without; "" passes over, the rest is passed over, too many are refused."""
-    assert read("1 2 3\n4 5 6\n", columns=["A", "", "C"]).rows.tolist() == [[1, 3], [4, 6]]
-    assert read("1 2 3\n", columns=["A"]).names == ("A",)
-    assert read("X Y\n1 2\n", columns=["A", "B"]).names == ("A", "B")
-    for columns, message in ((["A", "B", "C"], "3 names for 2"), (["", ""], "none of its 2")):
-        with pytest.raises(TrajectoryError, match=message):
-            read("1 2\n", columns=columns)
-
-
-def test_what_is_too_large_or_absent_is_an_error() -> None:
-    """More numbers than may be, a file that is not there, a folder, a unit that is none."""
-    with pytest.raises(TrajectoryError, match=":2: more than 3 numbers"):
-        read("1 2\n1 2\n1 2\n", columns=["A", "B"], most_numbers=3)
-    with pytest.raises(TrajectoryError, match="No such file"):
-        read_trajectory("absent.txt", rate_hz=10)
-    with pytest.raises(TrajectoryError, match="tests: "):
-        read_trajectory("tests", rate_hz=10)
-    with pytest.raises(CallerError, match="'rad' or 'deg'"):
-        read("A\n1\n", unit="grad")
-
-
-@given(st.binary(max_size=200))
-def test_no_bytes_do_anything_but_read_or_complain(data: bytes) -> None:
-    """A trajectory or a TrajectoryError, whatever is in the file."""
-    try:
-        table = read(data, columns=lambda n: [f"c{i}" for i in range(n)])
-    except TrajectoryError:
-        return
-    assert np.isfinite(table.rows).all()
 
 
 # ---- tables -----------------------------------------------------------------------------------------------------------
@@ -204,28 +132,6 @@ def test_cubic_has_no_corners() -> None:
         assert here - before == pytest.approx(after - here, abs=1e-4)
 
 
-def test_tables_of_a_table() -> None:
-    """Renamed, chosen, scaled, shifted, mirrored, resampled; each a new one."""
-    table = Trajectory(["LKP", "RKP", "HY"], [[0.0, 1.0, 2.0], [1.0, 3.0, 4.0]], rate_hz=10)
-    assert table.renamed({"HY": "WST", "LEB": "LEP"}).names == ("LKP", "RKP", "WST")
-    assert table.only(["HY", "LKP"]).rows.tolist() == [[2, 0], [4, 1]]
-    assert table.without(["HY"]).names == ("LKP", "RKP")
-    assert table.scaled({"HY": -1}).rows[1].tolist() == [1, 3, -4]
-    assert table.shifted({"HY": 0.5}).rows[1].tolist() == [1, 3, 4.5]
-    other = table.mirrored({"LKP": "RKP"}, ["HY"])
-    assert dict(zip(other.names, other.rows[1].tolist(), strict=True)) == {"RKP": 1, "LKP": 3, "HY": -4}
-    assert table.resampled(20).rows[:, 0].tolist() == [0, 0.5, 1]
-    assert sampled(table, 40).rows[:, 0].tolist() == [0, 0.25, 0.5, 0.75, 1]
-    assert table.rates()[0].tolist() == [10, 20, 20]
-    with pytest.raises(UnknownNameError, match="there are: HY, LKP, RKP"):
-        table.only(["X"])
-    for change in (table.scaled, table.shifted):
-        with pytest.raises(UnknownNameError, match="there are: HY, LKP, RKP"):
-            change({"X": 1.0})
-    with pytest.raises(ValueError, match="read-only"):
-        table.rows[0, 0] = 1.0
-
-
 @pytest.mark.parametrize(
     ("names", "rows", "rate", "message"),
     [
@@ -241,9 +147,3 @@ def test_a_table_is_valid_or_not_made(names: str, rows: Any, rate: float, messag
     """Shape, names, numbers and rate."""
     with pytest.raises(CallerError, match=message):
         Trajectory(names, rows, rate_hz=rate)
-
-
-def test_the_smooth_step_has_no_corners() -> None:
-    """0 to 1, still at both ends, symmetric."""
-    assert [smooth_step(u) for u in (-1, 0, 0.5, 1, 2)] == [0, 0, 0.5, 1, 1]
-    assert smooth_step(1e-3) < 1e-8

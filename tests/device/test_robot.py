@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,8 @@ from aces_bus.device import Robot
 from aces_bus.device.config import Home, Joint
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.robot import parse_robot
-from aces_bus.robot.checks import addresses
-from aces_bus.robot.file import RobotError, check_robot_file, print_robot
+from aces_bus.robot.file import RobotError, print_robot
 from aces_bus.robot.installed import check_robot
-from aces_bus.robot.rig import bus_variants
-from aces_bus.robot.toml_lines import KeyLines
 from tests.counting import calls
 
 ARM = """\
@@ -378,45 +374,6 @@ L1 = { driver = "lanterns_driver", bus = "upper", credentials = { node = 2 } }
 """
 
 
-def test_a_protocol_may_be_a_file_beside_the_robot_s(tmp_path: Path) -> None:
-    """A Python file, by its path from the robot's folder: it is checked and found as an installed protocol is."""
-    (tmp_path / "specs").mkdir()
-    (tmp_path / "specs" / "lantern.py").write_text(SPEC.format(name="robots_lantern", link="can"))
-    (tmp_path / "robot.toml").write_text(LANTERN)
-    robot, problems = check_robot_file(tmp_path / "robot.toml", runs_protocols=True)
-    assert robot is not None, problems
-    assert [p.key for p in problems] == ["devices.L1.driver"]
-    assert robot.buses["upper"].protocol == "robots_lantern"
-    (variant,) = bus_variants(robot, "upper")
-    assert variant.protocol is load_protocol(str(tmp_path / "specs" / "lantern.py"))
-    (tmp_path / "robot.toml").write_text(LANTERN.replace("node = 2", "node = 7"))
-    _, problems = check_robot_file(tmp_path / "robot.toml", runs_protocols=True)
-    assert [p.key for p in problems if not p.is_warning] == ["devices.L1.credentials.node"]
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (None, "no such file"),
-        ("made = 1\n", "declares no Protocol"),
-        ("1 / 0\n", "ZeroDivisionError"),
-        (SPEC.format(name="hubo", link="can"), "another protocol is named 'hubo' already"),
-        (SPEC.format(name="robots_serial", link="datagram"), "spec|link"),
-    ],
-)
-def test_a_protocol_s_file_that_is_none_is_said_with_its_line(
-    tmp_path: Path, content: str | None, said: str
-) -> None:
-    """Absent, without a protocol, broken, under a name that another one has."""
-    (tmp_path / "specs").mkdir()
-    if content is not None:
-        (tmp_path / "specs" / "lantern.py").write_text(content)
-    (tmp_path / "robot.toml").write_text(LANTERN)
-    robot, problems = check_robot_file(tmp_path / "robot.toml", runs_protocols=True)
-    assert robot is None
-    assert any(p.key == "buses.upper.protocol" and p.line == 4 and re.search(said, p.text) for p in problems)
-
-
 LEAVES_A_MARK = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
 
 
@@ -549,15 +506,6 @@ def test_one_number_is_one_thing_on_all_buses() -> None:
     assert "devices.JMC8.channels: 0x08 is 2 here and 1 as X: hubo has one table of channels" in said
 
 
-def test_addresses_of_protocols() -> None:
-    """Captures limit a credential; else its bytes do; the number that addresses everybody is nobody's."""
-    robotis = addresses(load_protocol("robotis"))["id"]
-    assert [robotis.holds(number) for number in (0, 253, 254, 255)] == [True, True, False, False]
-    hubo = addresses(load_protocol("hubo"))
-    assert hubo["board"].holds(0x3F)
-    assert not hubo["sensor"].holds(0xFF)
-
-
 # ---------------------------------------------------------------------- files
 
 
@@ -594,15 +542,6 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     assert load_robot(tmp_path / "bom.toml") == read(ARM)
 
 
-@given(st.one_of(st.text(max_size=200), st.text("[]{}=\"'\\#.,\n ab1", max_size=80)))
-def test_no_text_makes_trouble(text: str) -> None:
-    """Whatever a file holds: an answer, no exception, no endless loop, and lines that exist."""
-    KeyLines(text)
-    robot, problems = parse_robot(text)
-    assert robot is None
-    assert all(1 <= problem.line <= text.count("\n") + 1 for problem in problems)
-
-
 @given(st.data())
 def test_a_damaged_file_makes_no_trouble(data: st.DataObject) -> None:
     """A file with a piece cut out or doubled is a robot or has problems."""
@@ -614,61 +553,6 @@ def test_a_damaged_file_makes_no_trouble(data: st.DataObject) -> None:
 
 
 # ---------------------------------------------------------------------- lines
-
-
-def test_lines_of_keys() -> None:
-    """Tables, dotted keys, inline tables, strings and arrays over several lines, comments."""
-    text = '''\
-# a = 1
-"a b".c = """
-x = 1
-[no]"""
-[one."t\\"wo"]  # [three]
-list = [ # ]
-  "]", { x = [1], y = 2 }, 3,
-]
-in.line = { p = '#', "q.r" = { s = 1 } }
-[[many]]
-deep = 1
-'''
-    lines = KeyLines(text)
-    assert lines.of(("a b", "c")) == 2
-    assert lines.of(("x",)) == 1  # not there: the file's first
-    assert lines.of(("one", 't"wo')) == 5
-    assert lines.of(("one", 't"wo', "list")) == 6
-    assert lines.of(("one", 't"wo', "in", "line", "q.r", "s")) == 9
-    assert lines.of(("many", "deep")) == 11
-    assert lines.of(("many", "deep", "deeper")) == 11
-    assert KeyLines(text.replace("\n", "\r\n")).of(("many", "deep")) == 11
-
-
-VALUES = [
-    "1",
-    '"]{"',
-    "'''\n[x]\n'''",
-    '"""\n\\"""\n"""',
-    "[1,\n# ]\n[2]]",
-    "{ a = { b = [ '}' ] } }",
-    "2021-01-01 07:00:00",
-]
-
-
-@given(st.lists(st.tuples(st.booleans(), st.sampled_from(VALUES), st.integers(0, 2)), max_size=12))
-def test_every_key_has_its_line(statements: list[tuple[bool, str, int]]) -> None:
-    """However values and blank lines stand between them."""
-    text, table, expected = "", "", dict[tuple[str, ...], int]()
-    for number, (is_table, value, blank) in enumerate(statements):
-        text += "\n" * blank
-        line = text.count("\n") + 1
-        if is_table:
-            table = f"t{number}"
-            text += f"[{table}] # k = 1\n"
-            expected[table,] = line
-        else:
-            text += f"  k{number} = {value} # [x]\n"
-            expected[(*filter(None, [table]), f"k{number}")] = line
-    lines = KeyLines(text)
-    assert {path: lines.of(path) for path in expected} == expected
 
 
 # ---------------------------------------------------------------------- hostile files

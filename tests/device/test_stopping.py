@@ -8,14 +8,12 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.device import Driver, Job, MotorDevice, Poll, Steps, Ticket
-from aces_bus.device.motor import age_on_bus
-from aces_bus.device.stopping import STOP_NS, stop_devices, wait_stopped
-from aces_bus.device.ticket import Awaited
+from aces_bus.device.stopping import stop_devices, wait_stopped
 from aces_bus.errors import DeviceError, NotStoppedError
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
-from aces_bus.robot.rig import Rig, simulate
-from tests.device.fan import ROBOT, Fan, FanTwin, fan, robot_of
+from aces_bus.robot.rig import Rig
+from tests.device.fan import ROBOT, Fan, FanTwin, robot_of
 
 SET = 0x111
 
@@ -113,47 +111,6 @@ def test_who_has_not_stopped_is_named(robot: VirtualRobot) -> None:
     assert robot.clock.now() - began < 2_500_000_000
     assert list(failed.value.devices) == ["A"]
     assert robot.twins["B"].left == 0
-
-
-def test_a_status_that_came_late_says_how_old_it_is(robot: VirtualRobot) -> None:
-    """What waited in an adapter or a server since the bus had it is not news; a clock that is another's says nothing."""
-    now = robot.clock.now() / 1e9
-    scanner = fan.scanner()
-
-    def status(stamp: float | None) -> Any:
-        (record,) = scanner.feed([Frame(0x121, bytes(5), timestamp=stamp)])
-        return record
-
-    assert [age_on_bus(status(stamp), robot.clock) for stamp in (None, now + 1, now - 1e6)] == [None] * 3
-    asked = Awaited(robot.clock)
-    asked.finish(status(now - 0.2))
-    board: Any = robot.devices["A"]
-    with pytest.raises(
-        DeviceError, match=r"its status \(0\.2 s old: its answers come late\) says that LHP is still on"
-    ):
-        MotorDevice.confirm_off(board, lambda: asked, lambda: ["LHP"]).wait()
-
-
-@pytest.mark.parametrize("is_deaf", [True, False])
-def test_one_answer_does_not_confirm_two_devices(robot: VirtualRobot, is_deaf: bool) -> None:
-    """Two devices have answered as one: the stop is repeated for its time and named, whatever one of them says then."""
-    second = simulate(robot_of(ROBOT), robot.ports("second"), load=load)
-    second.buses["line"].remove("B")
-    other: Any = second.twins["A"]
-    other.reply_delay_ns += 3_000_000  # frames that begin together would destroy each other
-    with second:
-        robot.advance(0.2)
-        other.is_powered = not is_deaf  # turns on, and receives nothing
-        robot.advance(2.0)
-        assert "two devices with node 0x01" in robot.events.of("two devices")[0].detail
-        began = robot.clock.now()
-        with pytest.raises(NotStoppedError) as failed:
-            wait_stopped(stop(robot))
-        assert robot.clock.now() - began == pytest.approx(STOP_NS, rel=0.05)
-        why = "two devices answer as node 0x01: one that is off says nothing of the other"
-        assert failed.value.devices == {"A": why}
-        assert (robot.twins["A"].left, robot.twins["B"].left) == (0, 0)
-        assert bool(other.left) is is_deaf
 
 
 @pytest.mark.parametrize("says", ["stop", "confirm"])

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
-
 from aces_bus.device.drivers import list_drivers
-from aces_bus.testing.conformance import CHECKS, run_check
+from aces_bus.testing import driver_tests
 
 _HERE = Path(__file__).parent
 _OWN = "".join(
@@ -19,9 +17,4 @@ _OWN = "".join(
 )
 WITHOUT = [name for name in list_drivers() if not re.search(rf"\b{name}\b", _OWN)]
 
-
-@pytest.mark.parametrize("check", list(CHECKS))
-@pytest.mark.parametrize("name", WITHOUT)
-def test_a_driver_passes(name: str, check: str) -> None:
-    """Every check of a driver and its twin."""
-    run_check(check, name)
+globals().update({f"test_{name}": driver_tests(name) for name in WITHOUT})

@@ -27,7 +27,6 @@ import pytest
 
 from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.hardware import CanGate
-from aces_bus.hardware.backends import check_server
 from aces_bus.hardware.gate import Received
 from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.recordings.base import CanRecording
@@ -273,19 +272,6 @@ def test_socketcand_server_that_hangs_up_and_comes_back(server: Server) -> None:
         server.say(b"< frame 124 2.5  >< frame 12345678 2.75 00 >")
         assert numbers(take(inbox, 2)) == [0x124, 0x1234_5678]
         assert [event.kind for event in seen.events] == ["lost", "reopened"]
-
-
-def test_socketcand_server_that_is_not_there(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Said at once; python-can alone knocks for ten seconds without a pause."""
-    server.refuses = 1
-    with pytest.raises(OSError, match="no socketcand server answers"):
-        CanGate(server.options).start()
-    server.close()
-    made = count_calls(socket, "create_connection", monkeypatch)
-    with pytest.raises(ConnectionRefusedError):
-        CanGate(server.options).start()
-    assert len(made) == 1
-    check_server({"interface": "virtual"})
 
 
 # ---------------------------------------------------------------------- UDP multicast, on this machine

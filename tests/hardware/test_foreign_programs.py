@@ -22,7 +22,7 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.hardware.served.address import parse_host
+from aces_bus.hardware.served.address import ServedAddress
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
 
@@ -136,7 +136,7 @@ def test_python_can_player(bus: can.BusABC, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_python_can_socketcand_client(server: BusServer, bus: can.BusABC) -> None:
     """`can_logger -i socketcand` in a process of its own, joined to the same bus."""
-    host, port = parse_host(server.socketcand, None)
+    host, port = ServedAddress.parse_host(server.socketcand, None)
     options = ("-i", "socketcand", "-c", "can0", "--bus-kwargs", f"host={host}", f"port={port}")
     with Program("-m", "can.logger", *options) as logger:
         logger.wait_for("Can Logger (Started")

@@ -11,7 +11,6 @@ from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError
 from aces_bus.hardware import CanGate, DatagramGate, SimulatedBus
 from aces_bus.hardware.ports import port_of
-from aces_bus.hardware.simulated.datagrams import SimulatedDatagrams
 from aces_bus.robot import connect
 from aces_bus.robot.rig import simulate
 from aces_bus.runtime import VirtualClock
@@ -35,23 +34,6 @@ def test_a_robot_on_real_gates() -> None:
                 lambda: rig["A.left"].value is not UNKNOWN and rig["A.left"].value > 99, 5_000_000_000
             )
         assert not loop.failures
-
-
-def test_datagrams_reach_all_others() -> None:
-    """A datagram wire delivers whole, late, and counts what it loses."""
-    clock = VirtualClock()
-    wire = SimulatedDatagrams(clock, delay_ns=1_000, drop=0.5, seed=1)
-    heard: list[tuple[bytes, int]] = []
-    port = port_of(wire)
-    port.open(lambda packet, now: heard.append((packet, now)))
-    other = port_of(wire)
-    other.open(lambda packet, now: heard.append((b"own", now)))
-    for number in range(100):
-        assert other.send(bytes([number]))
-    clock.advance(10_000)
-    assert len(heard) == 100 - wire.lost
-    assert 0 < wire.lost < 100
-    assert {now for _, now in heard} == {1_000}
 
 
 def test_datagrams_answer_whoever_spoke() -> None:

@@ -14,9 +14,7 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.hardware import CanGate, Faults
-from aces_bus.hardware.served import channel as channel_module
-from aces_bus.hardware.served import remote, stream
-from aces_bus.hardware.served.address import parse_host
+from aces_bus.hardware.served.address import ServedAddress
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 
@@ -135,7 +133,7 @@ def test_members_of_all_kinds_hear_each_other(opened: Open, physics: bool) -> No
     channel = ServedChannel(physics=physics, fd=not physics)
     with serve(channel, unix="", tcp=("127.0.0.1", 0), socketcand=("127.0.0.1", 0)) as server:
         buses: list[can.BusABC] = [opened("unix:can0"), opened(server.addresses["can0"][1])]
-        host, port = parse_host(server.socketcand, None)
+        host, port = ServedAddress.parse_host(server.socketcand, None)
         with can.Bus("can0", "socketcand", host=host, port=port) as foreign:
             buses += [foreign, opened("unix:can0")]
             for number, sender in enumerate(buses):
@@ -206,27 +204,6 @@ def test_a_gate_finds_the_server_again() -> None:
         gate.stop()
 
 
-def test_waiting_costs_nothing(opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`recv` with a time-out sleeps in the system until that is over, and asks it once or twice; 0 does not wait."""
-    with serve():
-        bus = opened()
-        waits: list[float | None] = []
-
-        def noted(number: int, timeout: float | None) -> bool:
-            waits.append(timeout)
-            return stream.wait(number, timeout)
-
-        monkeypatch.setattr(remote, "wait", noted)
-        start = time.monotonic()
-        assert bus.recv(0.4) is None
-        assert time.monotonic() - start >= 0.4
-        assert waits[0] == 0.4
-        assert len(waits) <= 3  # what the system rounds down is waited for once more
-        waits.clear()
-        assert bus.recv(0) is None
-        assert waits == [0]
-
-
 def test_closing_wakes_whoever_waits(opened: Open) -> None:
     """A thread in `recv` gets an exception when another closes the bus; closing twice is not harm."""
     with serve():
@@ -247,36 +224,6 @@ def test_closing_wakes_whoever_waits(opened: Open) -> None:
         assert "is closed" in errors[0]
         with pytest.raises(can.CanOperationError, match="closed"):
             bus.send(message(1))
-
-
-def test_full_mailboxes(opened: Open) -> None:
-    """With nobody to acknowledge, a sender hears of it after as many frames as it has mailboxes, and is passive."""
-    with serve():
-        bus = opened()
-        for _ in range(channel_module.MAILBOXES):
-            bus.send(message(1))
-        with pytest.raises(can.CanOperationError, match="no free mailbox"):
-            bus.send(message(1))
-        until(lambda: bus.state is can.BusState.PASSIVE)
-        assert {event.kind for event in bus.events} == {"no acknowledge", "error-passive"}
-        bus.flush_tx_buffer()
-        other = opened()
-        until(lambda: bus.status()["channels"][0]["members"][0]["waiting"] <= 1)
-        bus.send(message(2), timeout=PATIENCE)
-        while received(other)[0].arbitration_id != 2:
-            pass  # the one frame that was on the wire when the others were dropped
-
-
-def test_a_fast_sender_waits_for_the_bus(opened: Open) -> None:
-    """With a time-out to wait in, more frames than mailboxes go through without a loss, in order."""
-    count = 2 * channel_module.MAILBOXES
-    with serve():
-        sender, receiver = opened(), opened()
-        for number in range(count):
-            sender.send(message(1, number.to_bytes(2, "big")), timeout=PATIENCE)
-        got = [int.from_bytes(one.data, "big") for one in received(receiver, count)]
-        assert got == list(range(count))
-        assert (receiver.dropped, sender.rejected) == (0, 0)
 
 
 def test_bus_off_and_back(opened: Open) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from aces_bus.errors import CallerError
 from aces_bus.hardware import Faults
-from aces_bus.hardware.served.address import parse_address
+from aces_bus.hardware.served.address import ServedAddress
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.stream import servers
 
@@ -125,9 +125,9 @@ def test_addresses(text: str, again: str | None) -> None:
     """An address reads as it is written; what is none is refused."""
     if again is None:
         with pytest.raises(CallerError):
-            parse_address(text)
+            ServedAddress.parse(text)
     else:
-        assert str(parse_address(text)) == again
+        assert str(ServedAddress.parse(text)) == again
 
 
 @pytest.mark.parametrize(
@@ -146,19 +146,3 @@ def test_impossible_channels_are_refused(settings: dict[str, Any]) -> None:
     """Before anything is opened."""
     with pytest.raises(CallerError):
         ServedChannel(**settings)
-
-
-def test_a_server_that_is_slow_is_found(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:
-    """A server is given the time that it has for any answer, and one that gives none is waited for once, not per address."""
-    from aces_bus.hardware.served import stream
-
-    asked: list[float] = []
-
-    def hangs(address: object, timeout: float = 0.0) -> dict[str, object]:
-        asked.append(timeout)
-        raise TimeoutError("no answer in time")
-
-    monkeypatch.setattr(stream, "ask", hangs)
-    with serve(ServedChannel("left"), tcp=("127.0.0.1", 0)):
-        assert servers() == []
-    assert asked == [stream.ANSWER_S]

@@ -7,7 +7,7 @@ import time
 
 import can
 
-from aces_bus.hardware.served.address import parse_host
+from aces_bus.hardware.served.address import ServedAddress
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
 
@@ -20,7 +20,7 @@ class Text:
     """A socketcand client by hand."""
 
     def __init__(self, server: BusServer) -> None:
-        self._socket = socket.create_connection(parse_host(server.socketcand, None), PATIENCE)
+        self._socket = socket.create_connection(ServedAddress.parse_host(server.socketcand, None), PATIENCE)
         self._buffer = ""
         assert self.next() == "< hi >"
 
@@ -110,7 +110,7 @@ def test_socketcand_nonsense_makes_no_frames(opened: Open) -> None:
 def test_socketcand_hears_of_errors() -> None:
     """A sender whom nobody acknowledges gets error frames, as python-can's client reads them."""
     with serve(unix="", socketcand=("127.0.0.1", 0)) as server:
-        host, port = parse_host(server.socketcand, None)
+        host, port = ServedAddress.parse_host(server.socketcand, None)
         with can.Bus("can0", "socketcand", host=host, port=port) as bus:
             bus.send(message(1))
             first, second = received(bus, 2)
@@ -122,7 +122,7 @@ def test_socketcand_frames_do_not_run_into_the_handshake(opened: Open) -> None:
     """python-can's client takes all that comes with an answer for the answer; on a busy bus it can still join."""
     with serve(unix="", socketcand=("127.0.0.1", 0)) as server:
         sender, _ = opened(), opened()
-        host, port = parse_host(server.socketcand, None)
+        host, port = ServedAddress.parse_host(server.socketcand, None)
         with sending(sender, message(0x55), 0.001):
             for _ in range(5):
                 with can.Bus("can0", "socketcand", host=host, port=port) as bus:

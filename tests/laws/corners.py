@@ -226,7 +226,7 @@ can_corners.message(
 # ---------------------------------------------------------------------- streams: what only construct can read
 
 
-class Doubled(Adapter):  # type: ignore[misc]
+class Doubled(Adapter):
     """A number stored as its half: an adapter that nobody here knows."""
 
     def _decode(self, obj: int, context: object, path: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import math
 import random
 from collections.abc import Callable, Iterator
@@ -46,21 +45,14 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.against import check_recordings
 from aces_bus.protocol.against.finding import Observation
-from aces_bus.protocol.against.losses import GROUPS
 from aces_bus.protocol.against.suggest import suggest_examples
-from aces_bus.protocol.declare.examples import as_examples
-from aces_bus.protocol.lint.examples import failure
 from aces_bus.recordings.base import Chunk
-from aces_bus.testing.packets import draw_packet
-from aces_bus.testing.source import spread
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
 from tests.specs.catalogue import SPECS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "captures"
-#: What random values of a sound spec must never look like.
-DRAWN = {"byte-order", "sign", "check", "counter"}
 
 
 def one_message(payload: Any, **more: Any) -> Protocol:
@@ -122,22 +114,6 @@ def test_another_dialect_is_said_to_be_wrong(shared_captures: Path) -> None:
     found = [one for one in check_recordings(hubo.variant("D12"), [names]) if one.level != "note"]
     assert [one.rule for one in found] == ["size"]
     assert "11 frames 0x001 of 12 have 8 bytes" in found[0].text
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hubo", "robotis", *SPECS])
-def test_random_values_are_no_quantities(name: str) -> None:
-    """Messages with any values at all are not said to have another byte order, sign or check."""
-    protocol = {"hubo": hubo, "robotis": robotis, **SPECS}[name]
-    variant = protocol.variant()
-    traffic: list[Any] = []
-    for number, message in enumerate(list(variant.messages.values())[:8]):
-        source = spread(number, 1 << 14)
-        traffic += [one for _ in range(40) for one in draw_packet(message, source.branch(), variant).as_sent]
-    if protocol.link != "can":
-        traffic = [b"".join(traffic)]
-    found = [one for one in check_recordings(variant, [traffic], direction="both") if one.rule in DRAWN]
-    assert [str(one) for one in found if "malformed" not in one.text] == []
 
 
 def test_what_is_no_quantity_may_jump() -> None:
@@ -421,17 +397,6 @@ def test_pieces_say_what_the_whole_says() -> None:
         assert check_recordings(protocol, [iter(pieces)]) == whole
 
 
-def test_memory_does_not_grow_with_what_is_unknown() -> None:
-    """However many identifiers nobody declared there are, a bounded number of them is told apart."""
-    from aces_bus.protocol.against.recording import RecordingCheck
-
-    check = RecordingCheck(one_message(Struct("x" / Byte)))
-    check.read([Frame(n, b"", None, is_extended_id=True) for n in range(3000)])
-    (losses,) = check._losses.values()  # pyright: ignore[reportPrivateUsage]
-    assert len(losses.groups) == GROUPS
-    assert any("more identifiers" in one.text for one in check.observations())
-
-
 @pytest.mark.slow
 @given(data=st.lists(st.binary(max_size=64), max_size=40), seed=st.integers(0, 1 << 16))
 def test_no_recording_raises(data: list[bytes], seed: int) -> None:
@@ -447,19 +412,6 @@ def test_no_recording_raises(data: list[bytes], seed: int) -> None:
 
 
 # ---------------------------------------------------------------------- examples out of recordings
-
-
-def test_suggested_examples_hold() -> None:
-    """What is suggested is the source of an example that holds, for every message that the recording has."""
-    capture = open_recording(EXAMPLES / "robotis_session.bin", link="serial")
-    found = suggest_examples(robotis, [capture], direction="both")
-    names = [one.message.name for one in found]
-    assert names == ["Ping", "Read", "Write", "RegWrite", "Action", "SyncWrite", "Status"]
-    for one in found:
-        (example,) = as_examples([ast.literal_eval(one.source.rstrip(","))], one.message.place, is_can=False)
-        assert example == one.example
-        assert failure(one.message, example) is None
-        assert one.count > 0
 
 
 def test_a_suggested_reply_has_its_request() -> None:

@@ -12,7 +12,7 @@ from construct import Byte, Default, Float32l, Int16sl, Int16ub, Int16ul, Struct
 
 from aces_bus.errors import AcesError, FieldError, SpecError
 from aces_bus.protocol import BitLayout, Crc, Enumeration, Protocol, Quantity, Split, TwoScales, bits
-from aces_bus.protocol.draw.table import field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.exchange import print_dbc
 from aces_bus.protocol.exchange.export_stubs import print_stub
@@ -111,7 +111,7 @@ def test_a_picture_has_the_payloads_fields_alone() -> None:
     text = "\n".join(picture(message))
     assert "first" not in text
     assert "angle" in text
-    rows = {row.name: row for row in field_table(message.plan)}
+    rows = {row.name: row for row in FieldRow.table(message.plan)}
     assert rows["angle"].place == "byte 1 bits 7…1 + byte 2"
 
 
@@ -221,7 +221,7 @@ def test_exports_say_what_they_leave_out() -> None:
     assert any(reason in loss.reason for loss in source.losses)
     assert "[m]" not in source.header
     assert "height: float" in print_stub(made, "made")
-    row = field_table(made.messages["Height"].plan)[0]
+    row = FieldRow.table(made.messages["Height"].plan)[0]
     assert (row.unit, row.scale, row.offset, row.range) == (
         "m",
         "0.1 or 1",

@@ -8,23 +8,18 @@ import pdb
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from construct import Array, Byte, Int16ul, Int32sl, Struct
 
-from aces_bus import Frame, load_protocol
+from aces_bus import Frame
 from aces_bus.errors import FieldError
 from aces_bus.protocol import BitLayout, Flags, IdField, Protocol, Quantity, bits
-from aces_bus.protocol.generate.load import decoders_of, print_decoders, print_records
-from aces_bus.protocol.live.stream import StreamScanner
-from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.protocol.generate.load import decoders_of
 
 ROOT = Path(__file__).resolve().parents[2]
-Golden = Callable[[str, str], None]
-
 PROTOCOLS = ["canopen", "hubo", "hubovia", "minihubo_adc", "pololu_qik", "robotis"]
 
 
@@ -48,20 +43,6 @@ def small() -> Protocol:
         ),
     )
     return protocol
-
-
-@pytest.mark.parametrize("name", PROTOCOLS)
-def test_generated_source_is_golden(name: str, golden: Golden) -> None:
-    """What the printers print for our protocols changes only on purpose."""
-    variant = load_protocol(name).variant()
-    golden(
-        f"{name}/records.py.txt",
-        print_records(variant.label, [flatten(m) for m in variant.messages.values()]),
-    )
-    golden(f"{name}/decoders.py.txt", print_decoders(variant))
-    golden(f"{name}/encoders.py.txt", variant.encoder.source)
-    if variant.link != "can":
-        golden(f"{name}/scanner.py.txt", StreamScanner([variant], direction="from device").source)
 
 
 @pytest.mark.slow

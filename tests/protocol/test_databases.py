@@ -11,9 +11,7 @@ import pytest
 from aces_bus import Frame, FrameTable, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError, SpecError
 from aces_bus.protocol import Protocol
-from aces_bus.protocol.exchange import import_dbc as dbc
 from aces_bus.protocol.exchange import load_database
-from aces_bus.protocol.generate import load as loading
 from aces_bus.protocol.record import field_names
 from tests.protocol.imported import CAR, EDS, imported, laws_hold, reasons
 
@@ -66,32 +64,6 @@ def test_a_database_without_a_message_is_refused_with_the_reason(
         assert load_database(path).losses
         return
     with pytest.raises(CallerError, match=r"no message in it can be used; first: line 1: .*" + reason):
-        load_database(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("a.dbc", "BO_ 1 M: 8 X\n" * 32_769, "32,769 messages; at most 32,768"),
-        (
-            "a.dbc",
-            "BO_ 1 M: 8 X\n" + ' SG_ s : 0|1@1+ (1,0) [0|0] "" X\n' * 1_001,
-            "1,001 signals; at most 1,000",
-        ),
-        ("a.kcd", "<Message/>" * 32_769, "32,769 messages; at most 32,768"),
-        ("a.sym", "ID=001h\n" * 32_769, "32,769 messages; at most 32,768"),
-        ("a.arxml", "<CAN-FRAME>" * 32_769, "32,769 messages; at most 32,768"),
-    ],
-    ids=["dbc", "dbc-signals", "kcd", "sym", "arxml"],
-)
-def test_more_than_is_read_is_refused_by_number(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str, said: str
-) -> None:
-    """Before any of it is parsed."""
-    monkeypatch.setattr(dbc, "MOST_SIGNALS", 1_000)
-    path = tmp_path / name
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(CallerError, match=said):
         load_database(path)
 
 
@@ -324,58 +296,3 @@ def test_two_messages_of_one_identifier_keep_their_formats(tmp_path: Path) -> No
 
 
 # ---------------------------------------------------------------------- size
-
-
-def test_code_is_made_for_the_messages_that_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a large database, and for each way to decode: nothing before the first frame, then one message's."""
-    made: list[str] = []
-    load = loading.load_source
-
-    def counted(source: str, name: str, names: Any) -> dict[str, Any]:
-        made.append(name)
-        return load(source, name, names)
-
-    monkeypatch.setattr(loading, "load_source", counted)
-    body = "".join(f'BO_ {n} M{n}: 8 ECU\n SG_ a : 0|8@1+ (0.5,0) [0|0] "" Gate\n' for n in range(1, 300))
-    found = imported(tmp_path, body)
-    variant = found.protocol.variant()
-    scanner = make_scanner([variant])
-    columns = make_column_scanner([variant])
-    assert made == []
-    frame = Frame(7, b"\3" + bytes(7))
-    for _ in range(3):
-        (record,) = scanner.feed([frame])
-        (table,) = columns.feed(FrameTable.from_frames([frame]))
-        assert record.a == table["a"].values[0] == 1.5
-    assert len(made) == 2  # the record's type, and what decodes it
-    assert all(name.endswith(": M7") for name in made)
-
-
-def test_declaring_compares_only_what_may_clash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The work grows with the number of messages, not with its square."""
-    from aces_bus.protocol.declare import ambiguity
-
-    asked = 0
-    unresolved = ambiguity.unresolved
-
-    def counted(one: Any, other: Any) -> Any:
-        nonlocal asked
-        asked += 1
-        return unresolved(one, other)
-
-    monkeypatch.setattr(ambiguity, "unresolved", counted)
-    body = "".join(f"BO_ {0x98FE0000 | n << 8} M{n}: 8 ECU\n" for n in range(200))
-    body += "".join(f"BO_ {n} S{n}: 8 ECU\n" for n in range(1, 200))
-    assert len(imported(tmp_path, body + J1939).protocol.declared) == 399
-    assert asked <= 399
-
-
-def test_the_collector_is_as_it_was(tmp_path: Path) -> None:
-    """Loading pauses the garbage collector, also where it fails."""
-    import gc
-
-    path = tmp_path / "none.dbc"
-    for _ in range(2):
-        with pytest.raises(CallerError):
-            dbc.load_dbc(str(path))
-        assert gc.isenabled()

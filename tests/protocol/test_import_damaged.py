@@ -10,7 +10,7 @@ import pytest
 
 from aces_bus import Frame, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.protocol.draw.table import field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.import_statements import split_statements
 from aces_bus.protocol.exchange.problems import ImportedProtocol, ImportProblem
@@ -153,7 +153,7 @@ VAL_ 1 s 1 "{evil}\\"\\"\\"" ;
 def test_encodings(tmp_path: Path, encoding: str) -> None:
     """UTF-8 with or without a mark, Windows-1252, UTF-16."""
     found = imported(tmp_path, CAR, encoding=encoding)
-    rows = field_table(flatten(found.protocol["Speed"]))
+    rows = FieldRow.table(flatten(found.protocol["Speed"]))
     assert [row.unit for row in rows if row.name == "temperature"] == ["°C"]
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from aces_bus import Frame, Unknown
 from aces_bus.errors import FieldError
-from aces_bus.protocol.draw.table import field_table
-from aces_bus.protocol.exchange.names import python_name
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.plan.flatten import flatten
 from tests.protocol.imported import ABOVE, CAR, MUX, decoded, imported, laws_hold, reasons
 from tests.protocol.test_dbc_equal import agree
@@ -28,7 +27,7 @@ def test_a_message_says_what_the_database_says(tmp_path: Path) -> None:
     assert speed.doc == "How fast it goes.\nOn every road.\nsent by ECU; to Gate; every 50 ms"
     assert speed.place.line == ABOVE + 1
     assert str(speed.place).endswith(f"car.dbc:{ABOVE + 1}")
-    rows = {row.name: row for row in field_table(flatten(speed))}
+    rows = {row.name: row for row in FieldRow.table(flatten(speed))}
     assert (rows["speed"].unit, rows["speed"].scale, rows["speed"].range) == ("km/h", "0.01", "0…250")
     assert rows["speed"].doc == 'measured at the "left" wheel'
     assert rows["temperature"].names == "255=not available, 254=error"
@@ -198,19 +197,6 @@ BO_ 4 len: 1 ECU
     laws_hold(found, scenes=2)
 
 
-def test_a_plain_name_stays() -> None:
-    """Only what cannot be a Python name changes."""
-    assert [python_name(n) for n in ("Speed", "1st gear", "_x", "a-b", "", "__", "größe")] == [
-        "Speed",
-        "n1st_gear",
-        "x_",
-        "a_b",
-        "unnamed",
-        "unnamed_",
-        "gr__e",
-    ]
-
-
 def test_messages_with_one_identifier(tmp_path: Path) -> None:
     """The last one is what cantools decodes, and what we keep; the others are listed."""
     found = imported(
@@ -313,16 +299,3 @@ BO_ 2565668862 Connection: 8 ECU
     # A byte more than declared is kept, as of frames.
     assert (own.a, own.destination, own.trailing) == (1, 0xF9, b"\x0a")
     laws_hold(found)
-
-
-def test_a_large_database_is_quick(tmp_path: Path) -> None:
-    """Messages are told apart by a glance at their identifiers, and compiled when they are first seen."""
-    body = "".join(f'BO_ {n} M{n}: 8 ECU\n SG_ a : 0|8@1+ (0.5,0) [0|0] "" Gate\n' for n in range(1, 400))
-    from aces_bus.protocol.declare import ambiguity
-
-    ambiguity.conflict.cache_clear()  # of what other tests have declared
-    found = imported(tmp_path, body)
-    assert len(found.protocol.declared) == 399
-    assert ambiguity.conflict.cache_info().currsize < 60_000
-    (record,) = decoded(found, Frame(7, b"\x03" + bytes(7)))
-    assert record.a == 1.5

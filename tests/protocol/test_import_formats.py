@@ -54,20 +54,6 @@ def test_sizes_beyond_measure_are_refused(tmp_path: Path, kind: str, old: str, n
         imported(tmp_path, text.replace(old, new, 1), f"car.{kind}")
 
 
-def test_a_container_is_listed(tmp_path: Path) -> None:
-    """AUTOSAR's messages of several messages are none that we hold; nor is one without identifier and length of ours."""
-    from cantools.database import Database
-    from cantools.database.can import Message
-
-    from aces_bus.protocol.exchange.import_build import build
-
-    inner = Message(1, "Inner", 8, [], header_id=5)
-    database = Database([Message(2, "Outer", 64, [], contained_messages=[inner], is_fd=True), inner])
-    protocol, problems = build(database, "car", "car.arxml", lambda message, signal: 3)
-    assert [m.name for m in protocol.declared] == ["Inner"]
-    assert [str(p) for p in problems] == ["line 3: message Outer: a container of other messages: left out"]
-
-
 def test_mapped_objects_become_fields(tmp_path: Path) -> None:
     """Of any node; types below 20h are bits that mean nothing; what is switched off is listed."""
     pytest.importorskip("canopen")

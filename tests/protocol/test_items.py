@@ -45,10 +45,7 @@ from aces_bus.protocol import (
     Record,
     bits,
 )
-from aces_bus.protocol.draw.table import field_table
-from aces_bus.protocol.draw.text import draw_text
 from aces_bus.protocol.exchange import print_dbc
-from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.protocol.reference import Reference
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
@@ -345,17 +342,6 @@ def test_a_bad_item_costs_itself_among_lists_too() -> None:
     assert table["items.plain"].to_list() == [99]
 
 
-def test_drawings_and_tables_see_lists_inside_items() -> None:
-    """A panel for each group, a line a value, with the place in its group."""
-    plan = lists_in_items().variant()["M"].plan
-    picture = "\n".join(draw_text(plan))
-    assert "data of items.sky, tag 1, each of data.satellites:" in picture
-    rows = {row.name: row for row in field_table(plan)}
-    level = rows["items.sky.satellites.level"]
-    assert (level.place, level.unit, level.scale) == ("byte 1 of each in tag 1", "dB", "0.5")
-    assert rows["items"].type == "items, by construct"
-
-
 def test_tools_see_lists_inside_items(tmp_path: Path, aces: Aces) -> None:
     """Units in lines, conditions on what is inside."""
     (tmp_path / "nested.py").write_text(
@@ -385,25 +371,6 @@ def test_on_can_the_frame_bounds_the_list() -> None:
     assert as_dict(record) == {"items": [{"kind": "speed", "data": 50, "reason": None}]}
     _, losses = print_dbc(protocol.variant())
     assert any("a list of items" in str(one) for one in losses)
-
-
-def test_drawings_tables_and_types_see_inside() -> None:
-    """The picture has a panel a kind, the table and the stub a line a value, the dissector a tree an item."""
-    from aces_lab.exchange import print_dissector
-
-    protocol = tlv()
-    message = protocol.variant()["M"]
-    picture = "\n".join(draw_text(message.plan))
-    assert "data of items.gyro, tag 2:" in picture
-    rows = {row.name: row for row in field_table(message.plan)}
-    assert rows["items.temperature"].place == "byte 0…1 of tag 1"
-    assert (rows["items.temperature"].unit, rows["items.state.mode"].names) == ("°C", "0=off, 1=on")
-    stub = print_stub(protocol, "m")
-    assert 'kind: Literal["temperature", "gyro", "state", "text", "key"] | int | None' in stub
-    assert "items: tuple[_M_items, ...]" in stub
-    source, losses = print_dissector(protocol.variant())
-    assert losses == []
-    assert all(f'"m.items.{name}"' in source for name in ("temperature", "state.mode", "key.number"))
 
 
 def test_tools_see_inside(tmp_path: Path, aces: Aces) -> None:

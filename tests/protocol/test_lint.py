@@ -26,7 +26,7 @@ from aces_bus.protocol.declare.examples import parse_packet
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.fields import is_unit, suggest
-from aces_bus.protocol.lint.finding import LEVELS, Finding
+from aces_bus.protocol.lint.finding import Finding
 from aces_bus.protocol.lint.templates import check_wire
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
@@ -123,7 +123,7 @@ def test_names_that_cannot_occur_and_names_with_holes() -> None:
     )
     # Billions apart: what lies between is not walked.
     p.message("Object", id=6, payload=BitLayout(8, "mark" / Enumeration(bits(64), a=0, b=1, c=2**64 - 1)))
-    error, hole = sorted(found(p, "enumeration"), key=lambda one: LEVELS.index(one.level))
+    error, hole = sorted(found(p, "enumeration"), key=lambda one: Finding.LEVELS.index(one.level))
     assert (error.level, "c=5 cannot occur: raw numbers are 0…3" in error.text) == ("error", True)
     assert (hole.level, "names 0…3, but not 2" in hole.text) == ("note", True)
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import pytest
-from construct import Array, Byte, Int16sb, Int16sl, Int16ul, Struct, this
+from construct import Array, Byte, Int16sb, Int16sl, Struct
 
-from aces_bus import as_dict, make_scanner
 from aces_bus.errors import SpecError
 from aces_bus.protocol import (
     AsciiInteger,
@@ -19,13 +17,11 @@ from aces_bus.protocol import (
     IdField,
     Protocol,
     Quantity,
-    Sum,
     Xor,
 )
-from aces_bus.protocol.declare.examples import Example, parse_packet
+from aces_bus.protocol.declare.examples import parse_packet
 from aces_bus.protocol.lint import check_protocol
-from aces_bus.protocol.lint.examples import agree, example_frame, failure
-from tests.laws.wires import PROTOCOLS, REGISTERED
+from tests.laws.wires import REGISTERED
 
 
 def spoken(**changed: Any) -> Protocol:
@@ -80,33 +76,6 @@ def test_a_field_that_does_not_exist() -> None:
     p = Protocol("probe", link="can")
     p.message("A", id=1, payload=Struct("x" / Byte), examples=[("001#05", {"y": 5})])
     assert "there is no field 'y' (there are: x)" in said(p)
-
-
-def test_an_example_of_a_stream() -> None:
-    """A packet with a wrong check is not this message; the right one holds."""
-    for text, holds in (("A5 01 07 08", True), ("A5 01 07 09", False)):
-        p = Protocol("probe", link="serial")
-        framing = p.framing(
-            sync=b"\xa5", header=Struct("length" / Byte), size=this.length + 3, max_size=258, check=Sum()
-        )
-        made = framing("A", payload=Struct("x" / Byte), examples=[(text, {"x": 7})])
-        assert (failure(made, made.examples[0]) is None) is holds
-
-
-def test_an_example_with_its_request() -> None:
-    """A reply that hangs on a request is recognised with it; a request that is none, or the wrong one, is said."""
-    p = Protocol("probe", link="can")
-    ask = p.message("Ask", id=1, payload=Struct("what" / Byte))
-    for name, what in (("A", 1), ("B", 2)):
-        p.message(name, id=2, reply_to=ask.where(what=what), payload=Struct("x" / Int16ul))
-    a, b = p["A"], p["B"]
-    packet, fields = parse_packet("002#0102", is_can=True), {"x": 0x201, "what": 1}
-    assert failure(a, Example(packet, fields, parse_packet("001#01", is_can=True))) is None
-    assert failure(a, Example(packet, {"x": 0x201})) is None, "without its request it cannot be recognised"
-    assert "is none of Ask(what=2)" in (
-        failure(b, Example(packet, {}, parse_packet("001#01", is_can=True))) or ""
-    )
-    assert "answers none" in (failure(ask, Example(parse_packet("001#01", is_can=True), {}, packet)) or "")
 
 
 def test_a_message_that_another_takes_is_said() -> None:
@@ -171,61 +140,6 @@ def test_every_message_that_ships_has_an_example(name: str) -> None:
     """So that a slip in a shipped spec is found by checking it."""
     without = {m.name for m in REGISTERED[name].declared if not m.examples}
     assert without == UNWORKED.get(name, set())
-
-
-@pytest.mark.parametrize(
-    "name", [name for name, p in PROTOCOLS.items() if any(m.examples for m in p.declared)]
-)
-def test_scanners_and_encoders_agree_with_the_examples(name: str) -> None:
-    """What is generated reads and writes each worked example as its source has it, in some dialect and configuration."""
-    protocol = PROTOCOLS[name]
-    for message in protocol.declared:
-        for example in message.examples:
-            assert failure(message, example) is None
-            assert any(_scanned(variant, message, example) for variant in protocol.variants()), message
-
-
-@cache
-def _scanner(variant: Any, direction: Any) -> Any:
-    return make_scanner([variant], direction=direction)
-
-
-def _scanned(variant: Any, message: Any, example: Example) -> bool:
-    if message.name not in variant.messages:
-        return False
-    scanner = _scanner(variant, message.direction if variant.link != "can" else None)
-    scanner.reset()
-    if variant.link == "can":
-        before = [] if example.request is None else [example.request]
-        records = scanner.feed(
-            [example_frame(packet) for packet in [*before, *(example.frames or (example.packet,))]]
-        )
-        records = records[len(before) :]
-    else:
-        if example.request is not None:
-            scanner.sent(example.request.data)
-        records = scanner.feed(example.packet.data) + scanner.close()
-    if [type(record).__name__ for record in records] != [message.name]:
-        return False
-    values = as_dict(records[0])
-    if message.transport is not None:
-        # The example has some sequence number.
-        packets = (variant.encoder.numbered(number, message.name, **values) for number in range(32))
-        shown = [frame.data for frame in example.frames]
-        same = any(
-            [bytes(frame.data) for frame in (made if isinstance(made, list) else [made])] == shown
-            for made in packets
-        )
-    else:
-        made = variant.encoder.encode(message.name, **values)
-        same = (
-            made == example.packet.data if variant.link != "can" else bytes(made.data) == example.packet.data
-        )
-        if str(example.packet).startswith("b"):
-            # Numbers as characters may have more or fewer decimals than we would write, if they read the same.
-            again = as_dict(scanner.feed(made)[0])
-            same = all(agree(again[field], value) for field, value in values.items())
-    return same and agree(values, example.fields)
 
 
 # ---------------------------------------------------------------------- characters

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import struct
 from itertools import product
 from typing import Any
@@ -163,9 +162,9 @@ def test_a_frame_of_another_length_is_malformed() -> None:
 
 def test_units_and_types_are_known() -> None:
     """Fields that construct places have their unit, their type and the bit that they depend on."""
-    from aces_bus.protocol.draw.table import field_table
+    from aces_bus.protocol.draw.table import FieldRow
 
-    rows = {row.name: row for row in field_table(groups()["Binary"].plan)}
+    rows = {row.name: row for row in FieldRow.table(groups()["Binary"].plan)}
     assert (rows["temperature"].unit, rows["temperature"].type, rows["temperature"].place) == (
         "°C",
         "int16 le",
@@ -202,22 +201,3 @@ def test_what_cannot_be_there_by_bits() -> None:
         wire.framing(sync=b"!", size="field", max_size=9)
     with pytest.raises(SpecError, match="depend on one header field"):
         wire.framing(sync=b"!", header=Struct("a" / Byte, "b" / Byte), size=this.a * this.b + 4, max_size=9)
-
-
-def test_masks_that_never_repeat_cost_no_memory_without_end() -> None:
-    """Each value of sixteen bits is decoded, by two tables of eight bits each."""
-    from aces_bus.protocol.generate.shapes import ByBitsDecoder
-
-    made = Protocol("many", link="serial")
-    packet = made.framing(sync=b"$", header=Struct("m" / Int16ul), size="fields", max_size=40)
-    packet("M", payload=Struct(*(f"x{n}" / Present("m", n, Byte) for n in range(16))))
-    scanner = made.scanner()
-    for mask in random.Random(3).sample(range(1 << 16), 3000):
-        fields = random.Random(mask).randbytes(mask.bit_count())
-        (record,) = scanner.feed(b"$" + struct.pack("<H", mask) + fields)
-        values = iter(fields)
-        for n in range(16):
-            assert getattr(record, f"x{n}") == (next(values) if mask >> n & 1 else None)
-    printed = ByBitsDecoder(made["M"], raw=False)
-    printed.print()
-    assert [len(found) for found in printed.module.bound.values() if isinstance(found, list)] == [256, 256]

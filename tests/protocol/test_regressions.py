@@ -14,20 +14,16 @@ from construct import (
     Bytes,
     Const,
     Construct,
-    ExprAdapter,
     Float32l,
     GreedyBytes,
-    GreedyRange,
     IfThenElse,
     Int16sl,
     Int16ul,
     Int32ul,
     Int64ub,
-    LazyBound,
     Padded,
     Prefixed,
     PrefixedArray,
-    StopIf,
     Struct,
     Switch,
     this,
@@ -50,7 +46,6 @@ from aces_bus.protocol import (
     SignMagnitude,
     bits,
 )
-from aces_bus.protocol.declare.packet import can_image
 from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.reference import Reference
@@ -299,30 +294,6 @@ def test_a_mode_outlives_the_reply_to_its_request() -> None:
 _PAIR = Struct("x" / Byte, "y" / Byte)
 
 
-@pytest.mark.parametrize(
-    "nested",
-    [
-        LazyBound(lambda: _PAIR),
-        GreedyRange(Struct("a" / Byte, "stop" / StopIf(this.a == 0), "b" / Byte)),
-        ExprAdapter(Byte, lambda number, context: {"a": number}, lambda value, context: value["a"]),
-        ExprAdapter(Byte, lambda number, context: {number: 1, "class": 2}, lambda value, context: 0),
-    ],
-    ids=["lazy", "stopped half way", "adapted", "no names"],
-)
-def test_nested_records_that_no_walk_foresees(nested: Construct) -> None:
-    """Their types were looked up by path and fields; what was not listed raised, and the frame was lost."""
-    made = Protocol("nested", link="can")
-    message = made.message("Nested", id=1, payload=Struct("n" / nested, "rest" / GreedyBytes))
-    for data in (b"\x01\x02", b"\x01\x00", b"\x00", b"\x05\x06\x00"):
-        (record,) = made.scanner(include_unknown=True).feed([Frame(1, data)])
-        try:
-            message.struct.parse(can_image(1, data))
-        except Exception:
-            assert isinstance(record, Unknown)
-        else:
-            assert as_dict(record)["n"] is not None
-
-
 def test_nested_records_whose_names_read_alike() -> None:
     """`a` in two shapes and a field `a_0` were one class, in payloads through construct and in flat ones."""
     made = Protocol("alike", link="can")
@@ -417,21 +388,6 @@ def test_a_layouts_only_field_keeps_its_byte_order(size: int, *, signed: bool) -
     assert made.decode([Frame(1, data)])["Full"]["a"].values.tolist() == [wanted]
     assert bytes(made.encode("Full", a=wanted).data) == data
     assert made["Full"].payload.parse(data).a == wanted
-
-
-def test_a_switch_over_names_works_in_raw_mode() -> None:
-    """A case under a name was not found by its number, which is what raw mode has: the laws compared two readings."""
-    kind = Enumeration(Byte, short=1, long=2)
-    made = Protocol("chosen", link="can")
-    for number, keys in ((1, ("short", "long")), (2, (1, 2))):
-        cases = Switch(this.kind, {keys[0]: Byte, keys[1]: Int16ul}, default=GreedyBytes)
-        made.message(f"M{number}", id=number, payload=Struct("kind" / kind, "data" / cases))
-        image = can_image(number, b"\x02\x34\x12")
-        assert made[f"M{number}"].struct.parse(image).data == 0x1234
-        assert made[f"M{number}"].struct.parse(image, raw=True).data == 0x1234
-        (record,) = made.scanner().feed([Frame(number, b"\x02\x34\x12")])
-        assert (record.kind, record.data) == ("long", 0x1234)
-        assert bytes(made.encode(f"M{number}", kind="long", data=0x1234).data) == b"\x02\x34\x12"
 
 
 def test_what_a_prefixed_does_not_use_up_is_not_lost() -> None:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from construct import GreedyBytes, Struct
 
 from aces_bus import Frame
-from aces_bus.device.carried_port import CarriedPort
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Protocol, SdoTransfer
 from aces_bus.testing import Scene
-from aces_tools.main import main
 from tests.laws.drawn import ORACLE
 from tests.specs.sdo_like import sdo_like
 
@@ -22,17 +20,6 @@ TAKEN = ["585#6008100000000000", "585#2000000000000000", "585#3000000000000000",
 READ = [text.replace("605#21", "585#41").replace("605", "585") for text in WRITE]
 ASKED = ["605#4008100000000000", "605#6000000000000000", "605#7000000000000000", "605#6000000000000000"]
 REFUSED, GIVEN_UP = "585#8008100022000008", "605#8008100000000405"
-
-
-class FakePort:
-    """A port that keeps what is sent."""
-
-    def __init__(self, sent: list[Frame]) -> None:
-        self.sent = sent
-
-    def send(self, frame: Any, *_: Any, **options: Any) -> bool:
-        self.sent.append(frame)
-        return True
 
 
 def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
@@ -113,23 +100,6 @@ def test_sizes_need_not_be_given() -> None:
             assert (record.sized, record.data) == (sized, data)
     with pytest.raises(FieldError, match="400"):
         sdo_like.encode("Write", node=9, sized=1, index=0x2000, subindex=3, data=bytes(397))
-
-
-def test_transfers_in_segments_are_not_sent(capsys: pytest.CaptureFixture[str]) -> None:
-    """Neither by `aces send` nor by devices: nothing leaves, and the reason is said; single frames go."""
-    what = ["send", "Write", "node=5", "sized=1", "index=8192", "subindex=0", "data=hex:0102"]
-    on = ["-p", "tests/specs/sdo_like.py", "-i", "aces", "-c", "sdo", "--bus-kwargs", "physics=False"]
-    assert main([*what, *on, "--tx"]) != 0
-    assert "each of its frames waits for an answer" in capsys.readouterr().err
-    sent: list[Frame] = []
-    said: list[tuple[str, str]] = []
-    port = CarriedPort(cast("Any", FakePort(sent)), [sdo_like.variant()], lambda key, data: True)
-    long = sdo_like.encode("Write", node=5, sized=1, index=0x2000, subindex=0, data=bytes(9))
-    assert not port.send(tuple(long), report=lambda fate, why: said.append((fate, why)))
-    assert (sent, said[0][0], port.failed) == ([], "dropped", 1)
-    short = sdo_like.encode("Read", node=5, index=0x2000, subindex=0)
-    assert port.send(tuple(short))
-    assert len(sent) == 1
 
 
 def test_frames_of_the_transport_are_no_messages() -> None:

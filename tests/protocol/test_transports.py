@@ -10,11 +10,6 @@ from construct import Byte, Const, GreedyBytes, Int16ub, Struct
 from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import FastPacket, IdField, IsoTp, Protocol, Transport
-from aces_bus.protocol.against import check_recordings
-from aces_bus.protocol.against.suggest import suggest_examples
-from aces_bus.protocol.exchange import print_source
-from aces_bus.protocol.exchange.dbc_signals import identified
-from aces_bus.protocol.lint.examples import failure
 from aces_bus.protocol.reference import Reference
 
 #: Parts of `python-can-isotp` 2's own tests and docs, or sent by it (ids 7E0 and 7E8 unless said).
@@ -319,38 +314,3 @@ def test_a_transport_of_ones_own() -> None:
         if len(sent) > 2:
             given, _ = feed(protocol, [sent[0], *sent[2:]])
             assert given[0].reason == "malformed: frame 2 missing"
-
-
-def test_a_recording_does_not_contradict_and_suggests() -> None:
-    """Frames that steer or came twice say nothing against a spec; a packet becomes an example."""
-    protocol = Protocol("car", link="can")
-    uds = IsoTp(to_device=0x7E0, from_device=0x7E8)
-    payload = Struct("service" / Const(0x62, Byte), "did" / Int16ub, "data" / GreedyBytes)
-    protocol.message("Data", transport=uds, direction="from device", payload=payload)
-    packets = [protocol.encode("Data", did=k, data=bytes(range(k, k + 12))) for k in range(20)]
-    frames = [
-        frame
-        for packet in packets
-        for frame in (packet[0], *frames_of(0x7E0, "30 00 00"), *packet[1:], packet[-1])
-    ]
-    recorded = [Frame(f.arbitration_id, bytes(f.data), 0.01 * n) for n, f in enumerate(frames)]
-    assert [one for one in check_recordings(protocol.variant(), [recorded]) if one.level != "note"] == []
-    (suggested,) = suggest_examples(protocol, [recorded])
-    assert len(suggested.example.frames) == 3
-    assert failure(suggested.message, suggested.example) is None
-    assert "7E8#10 0F 62 00" in suggested.source
-
-
-def test_sources_have_transports_and_databases_leave_them_out() -> None:
-    """What is printed as a spec says what carries a message; a DBC says that it does not have it."""
-    protocol = Protocol("boat", link="can")
-    protocol.message(
-        "Packet",
-        transport=FastPacket(timeout_s=2.0),
-        id=0x0DF80505,
-        extended=True,
-        payload=Struct("a" / Byte),
-    )
-    assert "transport=FastPacket(timeout_s=2.0)" in print_source(protocol)
-    _, losses = identified(protocol.variant())
-    assert [str(loss) for loss in losses if "fast packet" in str(loss)]

@@ -356,9 +356,11 @@ def test_units_are_the_sheet_s() -> None:
         ("HomeSearch", "limit"): "turn",
     }
     for (message, field), unit in units.items():
-        (found,) = [item.subcon for item in hubo[message].payload.subcons if item.name == field]
+        payload: Any = hubo[message].payload
+        (found,) = [item.subcon for item in payload.subcons if item.name == field]
         assert found.unit == unit, (message, field)
-    temperature = next(s.field for s in hubo["Current"].payload.slots if s.name == "temperature")
+    current: Any = hubo["Current"].payload
+    temperature = next(s.field for s in current.slots if s.name == "temperature")
     assert temperature.unit == "°C"
 
 

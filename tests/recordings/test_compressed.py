@@ -13,14 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from aces_bus import open_recording
 from aces_bus.errors import CaptureError
 from aces_bus.recordings.base import CanRecording, SerialRecording
-from aces_bus.recordings.source import BLOCK, ByteSource
-from aces_bus.recordings.unpack import may_be_packed, packing
+from aces_bus.recordings.source import ByteSource
 
 zstandard = pytest.importorskip("zstandard")
 
@@ -52,19 +49,6 @@ class Cut(io.RawIOBase):
     def read(self, size: int = -1) -> bytes:
         data, self.content = self.content[: self.size], self.content[self.size :]
         return data
-
-
-def unpacked(content: bytes) -> tuple[bytes, str]:
-    """All bytes that a source gives, and what it says then."""
-    source = ByteSource(io.BytesIO(content), "walk.log.gz")
-    out = bytearray()
-    try:
-        for block in source.blocks():
-            assert 0 < len(block) <= BLOCK
-            out += block
-    except CaptureError as error:
-        return bytes(out), str(error)
-    return bytes(out), ""
 
 
 @pytest.mark.parametrize("kind", PACK)
@@ -101,39 +85,6 @@ def test_pieces_of_any_size_are_unpacked(kind: str, size: int) -> None:
     assert b"".join(ByteSource(source, "pipe").blocks()) == LOG[:4000]
 
 
-@pytest.mark.parametrize("kind", PACK)
-def test_members_follow_each_other(kind: str) -> None:
-    """As `cat a.gz b.gz` makes them; an empty one among them, and zeros behind those of gzip."""
-    pack = PACK[kind]
-    assert unpacked(pack(LOG) + pack(b"") + pack(b"end\n")) == (LOG + b"end\n", "")
-    if kind == "gzip":
-        assert unpacked(pack(LOG) + bytes(100_000)) == (LOG, "")
-        assert unpacked(pack(b"a") + bytes(3) + pack(b"b")) == (b"ab", "")
-    else:
-        skipped = b"\x5a\x2a\x4d\x18\x04\0\0\0abcd"
-        assert unpacked(skipped + pack(LOG) + skipped) == (LOG, "")
-
-
-@pytest.mark.parametrize("kind", PACK)
-def test_an_empty_packed_file_is_an_empty_one(kind: str) -> None:
-    """No bytes and no complaint."""
-    assert unpacked(PACK[kind](b"")) == (b"", "")
-
-
-@pytest.mark.parametrize("kind", PACK)
-def test_a_cut_file_gives_what_it_holds(kind: str) -> None:
-    """Everything that can be unpacked, then one message that says where it ends."""
-    packed = PACK[kind](LOG)
-    for size in (len(packed) - 1, len(packed) // 2, len(packed) // 3):
-        out, said = unpacked(packed[:size])
-        assert LOG.startswith(out)
-        assert said == (
-            f"walk.log.gz: the {kind} data ends too early, after {size:,} bytes; what it holds was read"
-        )
-    assert len(unpacked(gzip.compress(LOG)[:-4])[0]) == len(LOG)
-    assert len(unpacked(gzip.compress(LOG)[: len(gzip.compress(LOG)) // 2])[0]) > len(LOG) // 3
-
-
 @pytest.mark.parametrize("batch", [None, 1, 1024])
 def test_frames_before_the_damage_are_given_first(batch: int | None) -> None:
     """Then one error; the counters say how far it went, and the line in the damage is not given."""
@@ -153,14 +104,6 @@ def test_frames_before_the_damage_are_given_first(batch: int | None) -> None:
     assert capture.lines_unreadable == 0
 
 
-def test_gzip_is_read_up_to_the_very_damage() -> None:
-    """A wrong checksum is noticed when everything has been read, and everything is given."""
-    packed = bytearray(gzip.compress(LOG))
-    packed[-6] ^= 1
-    out, said = unpacked(bytes(packed))
-    assert (out, "damaged gzip data after" in said) == (LOG, True)
-
-
 def test_the_first_lines_of_a_damaged_file_are_given_too() -> None:
     """Also when the damage is so near that it is met before the format is told."""
     packed = gzip.compress(b"".join(LINES[:200]))
@@ -169,25 +112,6 @@ def test_the_first_lines_of_a_damaged_file_are_given_too() -> None:
     assert len(frames) == 100
     with pytest.raises(CaptureError, match="ends too early"):
         list(capture)
-
-
-@given(st.sampled_from(sorted(PACK)), st.data())
-def test_flipped_bytes_are_an_error_and_nothing_worse(kind: str, data: st.DataObject) -> None:
-    """What comes before is given; what was not noticed is the same."""
-    packed = bytearray(PACK[kind](LOG[:3000]))
-    place = data.draw(st.integers(4, len(packed) - 1))
-    packed[place] ^= data.draw(st.integers(1, 255))
-    _, said = unpacked(bytes(packed))
-    assert said == "" or f"{kind} data" in said or "reading stopped" in said
-
-
-@pytest.mark.parametrize("kind", PACK)
-def test_something_else_behind_is_an_error(kind: str) -> None:
-    """It would be lost otherwise."""
-    packed = PACK[kind](b"abc\n")
-    out, said = unpacked(packed + b"junk")
-    assert out == b"abc\n"
-    assert said == f"walk.log.gz: damaged {kind} data after {len(packed):,} bytes: something else follows"
 
 
 @pytest.mark.parametrize("outer", PACK)
@@ -212,29 +136,11 @@ def test_a_bomb_is_read_with_little_memory(kind: str) -> None:
         tracemalloc.stop()
 
 
-def test_a_window_that_is_too_large_is_refused() -> None:
-    """As `zstd -d` refuses it: more than 128 MiB would have to be kept."""
-    options = zstandard.ZstdCompressionParameters(window_log=28)
-    packer = zstandard.ZstdCompressor(compression_params=options).compressobj()
-    out, said = unpacked(packer.compress(LOG) + packer.flush())
-    assert (out, "too much memory" in said) == (b"", True)
-
-
 def test_without_the_package_the_message_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """What to install, or how to do without."""
     monkeypatch.setitem(sys.modules, "zstandard", None)
     with pytest.raises(CaptureError, match=r"pip install 'aces-bus\[columns\]'.*zstd -dc"):
         open_recording(io.BytesIO(zstd(LOG)), link="can")
-
-
-@pytest.mark.parametrize("head", [b"\x1f\x8b\x08\x00", b"\x28\xb5\x2f\xfd", b"\x50\x2a\x4d\x18"])
-def test_few_bytes_may_become_packed_ones(head: bytes) -> None:
-    """Every beginning of what tells a packing is waited for; nothing else is."""
-    assert all(may_be_packed(head[:size]) for size in (1, 2, 3))
-    assert packing(head)
-    assert not may_be_packed(b"")
-    assert not may_be_packed(b"(1.")
-    assert not packing(b"\x1f\x8b\x08\xff")  # reserved flags
 
 
 def test_standard_input_may_be_packed() -> None:

@@ -24,7 +24,7 @@ from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CaptureError
 from aces_bus.frame_table import Channels
 from aces_bus.frames import FD_LENGTHS
-from aces_bus.recordings.merge import KeyedTable, merge_by_key
+from aces_bus.recordings.merge import KeyedTable, Merge
 from aces_bus.recordings.source import ByteSource
 from aces_lab.formats.mf4 import child as child
 from aces_lab.formats.mf4 import reader as mf4
@@ -398,6 +398,6 @@ def test_groups_are_merged_by_time(groups: list[list[list[int]]]) -> None:
         rows += [(key, number) for key in keys]
         cuts = np.cumsum([len(keys) for keys in pieces]).tolist()
         sources.append(iter([piece(keys[a:b], number) for a, b in zip([0, *cuts], cuts, strict=False)]))
-    merged = list(merge_by_key(sources))
+    merged = list(Merge.by_key(sources))
     got = [row for part in merged for row in zip(part.time.tolist(), part.channel.tolist(), strict=True)]
     assert got == sorted(rows)

@@ -10,7 +10,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from aces_bus.controller import Controller
-from aces_bus.controller.reactions import parse_reactions
+from aces_bus.controller.reactions import Reaction
 from aces_bus.device import Robot
 from aces_bus.errors import DeviceError
 from aces_bus.hardware import Noise
@@ -225,7 +225,7 @@ class Lines:
             robot_of(name),
             [Swing(self.kind)],
             rate_hz=50,
-            reactions=parse_reactions(reactions, kinds=KINDS_OF_FAULTS),
+            reactions=Reaction.parse(reactions, kinds=KINDS_OF_FAULTS),
         )
         self.clock, self.twins = self.run.clock, self.run.world.twins
         self._confirmed: dict[str, int] = {}

@@ -20,7 +20,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from aces_bus.controller.reactions import parse_reactions
+from aces_bus.controller.reactions import Reaction
 from aces_bus.controller.trip import Action
 from aces_bus.errors import CallerError
 from aces_bus.robot import Runner, run_virtual
@@ -149,7 +149,7 @@ def test_no_joint_is_past_its_limits_and_all_are_off_parked_held_or_named(
     run = run_virtual(
         arm(*(way.command for way in ways)),
         [drawn],
-        reactions=parse_reactions(reactions, kinds=KINDS_OF_FAULTS),
+        reactions=Reaction.parse(reactions, kinds=KINDS_OF_FAULTS),
         on_trip=on_trip,
         at_end=at_end,
         hold_s=hold_s,

@@ -14,7 +14,6 @@ from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 from aces_bus.robot.file import print_robot
-from aces_bus.robot.states import States
 from aces_bus.state import Kalman
 from tests.device.fan import ROBOT, drivers, robot_of
 
@@ -65,26 +64,6 @@ def test_a_declared_estimator_looks_ahead(said: str) -> None:
         ended = run.run(1.0)
     assert (ended.tripped, run.set_points) == ({}, 101)
     assert run.states["RHP"][0.05] > run.states["RHP"].last > 0.05
-
-
-@pytest.mark.parametrize(
-    ("said", "wanted"),
-    [
-        ({"kalman": {"measurement_std": 0.001, "process_density": 10}}, None),
-        ({"estimator": "hold"}, None),
-        ({"kalman": {"measurement_std": -1, "process_density": 10}}, "state RHP: kalman: "),
-        ({"kalman": {"measurement_std": 1, "process_density": 10}, "estimator": "hold"}, "not both"),
-        ({"estimator": "holt"}, "did you mean 'hold'"),
-    ],
-)
-def test_a_program_says_estimators_as_a_file_does(said: dict[str, Any], wanted: str | None) -> None:
-    """A word or a table `kalman`; what is neither is refused with the state's name."""
-    rig = VirtualRobot(leg(""), rate_hz=100).rig
-    if wanted is None:
-        assert States(rig, declared={"RHP": said})["RHP"] is not None
-    else:
-        with pytest.raises(CallerError, match=wanted):
-            States(rig, declared={"RHP": said})
 
 
 def test_an_estimator_comes_from_a_program_too() -> None:

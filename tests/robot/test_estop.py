@@ -17,11 +17,9 @@ import pytest
 
 from aces_bus import load_protocol
 from aces_bus.controller import IGNORE, Controller
-from aces_bus.device.config import Input
 from aces_bus.errors import AcesError, CallerError, DeviceError
 from aces_bus.hardware.ports import port_of
 from aces_bus.robot import ActLog, Runner, VirtualRobot, parse_robot, run_virtual
-from aces_bus.robot.estop import objection
 from aces_bus.robot.file import print_robot
 from aces_bus.robot.rig import Rig
 from aces_tools.main import main
@@ -68,37 +66,6 @@ def is_off(robot: VirtualRobot, *names: str) -> bool:
 
 
 # ---------------------------------------------------------------------- what counts as pressed
-
-
-@pytest.mark.parametrize(
-    ("one", "value", "is_pressed"),
-    [
-        (Input(signal="x", clear=True), True, False),
-        (Input(signal="x", clear=True), 1, False),
-        (Input(signal="x", clear=True), False, True),
-        (Input(signal="x", clear=True), "true", True),
-        (Input(signal="x", clear=True), None, True),
-        (Input(signal="x", clear=True), float("nan"), True),
-        (Input(signal="x", clear="run"), "run", False),
-        (Input(signal="x", clear="run"), "halt", True),
-        (Input(signal="x", clear="run"), ("run",), True),
-        (Input(signal="x", clear=0, bit=3), 0b0111, False),
-        (Input(signal="x", clear=0, bit=3), 0b1000, True),
-        (Input(signal="x", clear=0, bit=3), 7.0, True),
-        (Input(signal="x", pressed=1, bit=0), -1, True),
-        (Input(signal="x", pressed=True), False, False),
-        (Input(signal="x", pressed=True), True, True),
-        (Input(signal="x", pressed=True), "no", True),
-        (Input(signal="x", pressed=3), float("inf"), True),
-        (Input(signal="x", pressed="estop"), ("spinout", "estop"), True),
-        (Input(signal="x", pressed="estop"), frozenset({"spinout"}), False),
-        (Input(signal="x", pressed="estop"), (), False),
-        (Input(signal="x", pressed="estop"), 0, True),
-    ],
-)
-def test_a_value_that_is_not_known_to_be_clear_is_pressed(one: Input, value: Any, is_pressed: bool) -> None:
-    """Only the stated value is clear; what cannot be compared with the stated one is pressed."""
-    assert bool(objection(one, value)) is is_pressed
 
 
 def test_a_pressed_input_stops_all_and_bars_the_way(panel: VirtualRobot) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -14,8 +14,6 @@ from aces_bus.hardware import CanGate, ListeningNode
 from aces_bus.hardware.ports import port_of
 from aces_bus.robot import VirtualRobot, connect, parse_robot, run_real, run_replay, run_virtual
 from aces_bus.robot.rig import simulate
-from aces_bus.robot.states import States
-from aces_bus.robot.worlds import Replay
 from aces_bus.runtime.loop import Loop
 from aces_devices.dynamixel import EXAMPLE as DYNAMIXEL
 from tests.device.fan import ROBOT, drivers, robot_of
@@ -188,16 +186,6 @@ def test_real_ports_serve_a_rig() -> None:
     assert threading.active_count() <= before
 
 
-def test_what_nobody_can_set_is_read_only() -> None:
-    """A signal that a driver updates by itself, from no declared field, is a state that is read and not set."""
-    robot = VirtualRobot(robot_of(ROBOT), load=drivers)
-    device = robot.devices["A"]
-    robot.rig.signals["A.mood"] = device.add_signal("mood")
-    mood = States(robot.rig)["A.mood"]
-    device["mood"].update(3.0, 5)
-    assert (mood[0], mood.is_writable) == (3.0, False)
-
-
 @pytest.mark.parametrize(
     ("rate_hz", "why"),
     [
@@ -212,41 +200,3 @@ def test_a_rate_that_cannot_be_is_refused(rate_hz: float, why: str) -> None:
     run = run_virtual(robot, [], rate_hz=rate_hz)
     with pytest.raises(CallerError, match=why):
         run.open()
-
-
-@pytest.mark.parametrize(
-    ("buses", "channels", "wanted"),
-    [
-        (
-            {"lower": "can1", "upper": "can0"},
-            ["can1", "upper", "0", "1"],
-            ["lower", "upper", "upper", "lower"],
-        ),
-        ({"lower": "a", "upper": "b"}, ["0", "1", "a"], ["lower", "upper", "lower"]),
-        ({"lower": None, "upper": "can4"}, ["0", "4"], [None, "upper"]),
-    ],
-)
-def test_channels_of_a_recording_find_their_bus(
-    buses: dict[str, str | None], channels: list[str], wanted: list[str | None]
-) -> None:
-    """By name, by the number at the end of the bus's channel, and by order where no channel of the robot has a number."""
-    text = 'name = "two"\n[buses]\n'
-    for name, channel in buses.items():
-        at = "" if channel is None else f', channel = "{channel}"'
-        text += f'{name} = {{ link = "can", protocol = "fan"{at} }}\n'
-    text += "[devices]\n"
-    for name in buses:
-        text += f'{name[0].upper()} = {{ driver = "fan", bus = "{name}", credentials = {{ node = 3 }} }}\n'
-    replay = Replay(robot_of(text), [Frame(0x7FE, b"", 1.0, name) for name in channels], load=drivers)
-    found: dict[str, str] = {}
-
-    def finds(bus: str) -> Callable[[Any, int], None]:
-        return lambda frame, now: found.update({frame.channel: bus})
-
-    for name, port in replay.ports.items():
-        port.open(finds(name))
-    replay.start()
-    replay.clock.advance(1_000_000_000)
-    assert replay.is_over
-    assert [found.get(channel) for channel in channels] == wanted
-    assert replay.unmatched.startswith("1 frames were on no bus of two: ") is (None in wanted)

@@ -21,7 +21,6 @@ from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
 from aces_bus.robot import Runner, run_real, run_virtual
 from aces_bus.robot.rig import simulate
-from aces_bus.robot.run_end import in_time
 from aces_bus.runtime import VirtualClock
 from aces_bus.runtime.loop import Loop
 from tests.device.fan import ROBOT, drivers, robot_of
@@ -356,48 +355,6 @@ def test_a_controller_is_dead_after_five_periods_and_a_tenth_of_a_second(
     run.run(5.0)
     trip = next(event for event in run.events if event.kind == "trip")
     assert (trip.instant - given[-1]) / 1e9 == pytest.approx(seconds, abs=1.1 / rate_hz)
-
-
-@pytest.mark.parametrize("begun", [False, True])
-def test_an_end_does_not_wait_for_a_thread_that_hangs(monkeypatch: pytest.MonkeyPatch, begun: bool) -> None:
-    """What the buses' thread has not begun in time is done here; what it has begun and not ended is said."""
-    monkeypatch.setattr("aces_bus.robot.run_end.PATIENCE_S", 0.02)
-    let_go = threading.Event()
-    did: list[str] = []
-
-    def action() -> int:
-        did.append(threading.current_thread().name)
-        if begun:
-            let_go.wait(10)
-        return 7
-
-    with Loop() as loop:
-        if not begun:
-            loop.call_soon(lambda: let_go.wait(10))
-        try:
-            if begun:
-                with pytest.raises(TimeoutError, match=r"not over after 0\.02 s"):
-                    in_time(loop, action)
-                assert did == ["aces loop"]
-            else:
-                assert in_time(loop, action) == 7
-                assert did == [threading.current_thread().name]
-        finally:
-            let_go.set()
-    assert len(did) == 1  # the thread does not do it once more
-
-
-@pytest.mark.parametrize("error", [SystemExit(3), KeyboardInterrupt(), ValueError("no such thing")])
-def test_what_is_raised_on_the_buses_thread_is_raised_where_it_was_asked_for(error: BaseException) -> None:
-    """Whatever it is: it neither ends that thread nor is lost."""
-
-    def action() -> None:
-        raise error
-
-    with Loop() as loop:
-        with pytest.raises(type(error)):
-            in_time(loop, action)
-        assert in_time(loop, lambda: 5) == 5
 
 
 def test_a_run_without_an_end_and_without_events_says_so() -> None:

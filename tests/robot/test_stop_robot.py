@@ -4,38 +4,23 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from aces_bus.controller import IGNORE, controller
-from aces_bus.device import Device, Driver, load_driver
-from aces_bus.device.drivers import list_drivers
-from aces_bus.device.stopping import can_be_stopped, stop_devices
-from aces_bus.errors import CallerError, DeviceError, NotStoppedError
+from aces_bus.errors import CallerError, DeviceError
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
-from aces_bus.robot import VirtualRobot, connect, parse_robot, run_real, run_virtual, stop_robot
-from aces_bus.robot.exits import stop_at_exit, stop_forgotten
+from aces_bus.robot import VirtualRobot, run_real, run_virtual, stop_robot
 from aces_bus.robot.file import print_robot
 from aces_bus.robot.rig import Rig, simulate
 from aces_bus.runtime.loop import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
 from tests.robot.walking import hubo_leg
 
-#: Devices of the drivers' examples that cannot confirm the stop of another program's motion, with the reason.
-SILENT: Mapping[str, str] = {
-    "RACK": "CiA 401 has no message that takes outputs back to what they were",
-    "TANK": "as RACK",
-    "EJMC4": "boards of hands have neither a switch nor a status",
-    "VIA_RSP": "the PC answers nothing and has no stop",
-    "VIA_LSR": "as VIA_RSP",
-    "METER": "its file says no `stop`",
-}
 WHO = "aces stop (pid 7)"
 
 
@@ -49,70 +34,6 @@ class Request:
 
     def answer(self, **content: Any) -> None:
         self.answers.append(content)
-
-
-@contextmanager
-def second_program(robot: VirtualRobot) -> Generator[Rig]:
-    """Another program on the same wires, which has received nothing yet."""
-    rig = connect(robot.robot, robot.ports("second"))
-    for host in rig.hosts.values():
-        host.open(is_started=False)
-    yield rig
-    rig.close()
-
-
-def stop_from_outside(robot: VirtualRobot) -> tuple[dict[str, str], dict[str, str]]:
-    """Stop all devices from another program: who has not confirmed it, and what each stop leaves."""
-    with second_program(robot) as rig:
-        devices = [one for one in rig.devices.values() if can_be_stopped(one)]
-        stopping = stop_devices(robot.clock, "all", devices, is_foreign=True)
-        robot.advance(3.0)
-        assert stopping.is_over
-        failed = stopping.error.devices if isinstance(stopping.error, NotStoppedError) else {}
-        return failed, {one.name: one.stop_leaves for one in devices}
-
-
-def stopping_drivers() -> list[Driver]:
-    drivers = [load_driver(name) for name in list_drivers()]
-    return [one for one in drivers if one.virtual and one.device.stop_motion is not Device.stop_motion]
-
-
-@pytest.mark.parametrize("driver", stopping_drivers(), ids=lambda driver: driver.name)
-def test_a_program_that_knows_nothing_stops_every_device(driver: Driver) -> None:
-    """Its owner is gone after `enable`: the stop is confirmed, or the device is named."""
-    made, _ = parse_robot(driver.example)
-    assert made is not None
-    with VirtualRobot(made, rate_hz=50) as robot:
-        robot.advance(1.0)
-        robot.rig.each("enable").wait(30)
-        for host in robot.rig.hosts.values():
-            host.close()
-        failed, leaves = stop_from_outside(robot)
-    assert set(failed) == set(leaves) & set(SILENT)
-
-
-def servos() -> VirtualRobot:
-    made, _ = parse_robot(load_driver("dynamixel").example)
-    assert made is not None
-    return VirtualRobot(made, rate_hz=50)
-
-
-def test_a_servo_whose_file_says_hold_is_held_where_it_is() -> None:
-    """A program that has never read its position asks for it first: the torque stays on, and the servo stands."""
-    with servos() as robot:
-        robot.advance(1.0)
-        robot.rig.each("enable").wait(30)
-        joint = next(iter(robot.devices["D1"].joints)).name
-        robot[f"{joint}.position"].set(robot[f"{joint}.position"].value + 0.5)
-        robot.advance(0.1)
-        for host in robot.rig.hosts.values():
-            host.close()
-        failed, leaves = stop_from_outside(robot)
-        assert (failed, leaves["D1"]) == ({}, "holds")
-        twin = robot.twins["D1"]
-        now = twin.world.joints[joint].position(robot.clock.now())
-        robot.advance(1.0)
-        assert twin.world.joints[joint].position(robot.clock.now()) == pytest.approx(now, abs=1e-3)
 
 
 # ---------------------------------------------------------------------- who drives obeys
@@ -278,42 +199,6 @@ def test_a_report_that_is_none_stops_nothing(
 
 
 # ---------------------------------------------------------------------- programs that forget their end
-
-
-def test_an_end_that_breaks_keeps_no_other_robot_enabled(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Two robots are left enabled, and the end of the first raises what nobody expected: the second has its end."""
-    monkeypatch.setattr("aces_bus.robot.exits._open", {})
-    ended: list[str] = []
-
-    def breaks() -> None:
-        raise RuntimeError("on purpose")
-
-    with Loop() as loop:
-        for name, end in (("first", breaks), ("second", lambda: ended.append("second"))):
-            device = SimpleNamespace(name="JMC2", is_driven=True)
-            robot = SimpleNamespace(name=name)
-            rig = SimpleNamespace(clock=loop, robot=robot, devices={"JMC2": device})
-            stop_at_exit(rig, end)  # type: ignore[arg-type]
-        stop_forgotten()
-    assert ended == ["second"]
-    assert "aces-bus: first: not stopped: RuntimeError('on purpose')" in capsys.readouterr().err
-
-
-def test_what_a_program_forgets_is_stopped_at_its_exit(
-    bus: dict[str, Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A run that has enabled and is not ended: its boards are off, which is said once."""
-    run = run_real(hubo_leg(), [], buses=bus, transmit=True)
-    run.open()
-    run.do("enable", devices=["JMC2"])
-    stop_forgotten()
-    assert "left JMC2 enabled: stopping" in capsys.readouterr().err
-    assert not run.rig.devices["JMC2"].is_driven
-    assert run.rig.devices["JMC2"].axes[0].is_on is False  # type: ignore[attr-defined]
-    stop_forgotten()
-    assert capsys.readouterr().err == ""
 
 
 FORGETFUL = """

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from aces_bus import load_robot, make_scanner
 from aces_bus.controller import ControlEvent, Controller
-from aces_bus.controller.reactions import parse_reactions
+from aces_bus.controller.reactions import Reaction
 from aces_bus.controller.trip import Action
 from aces_bus.device import Robot
 from aces_bus.device.config import Bus, DeviceConfig, Input
@@ -208,7 +208,7 @@ def test_after_a_stop_all_is_off_or_named(
     Of two boards that were seen to answer as one, one may be on and not receive any more.
     """
     drawn = Drawn()
-    declared = parse_reactions(reactions, kinds=KINDS_OF_FAULTS)
+    declared = Reaction.parse(reactions, kinds=KINDS_OF_FAULTS)
     run = run_virtual(lower_leg(), [drawn], rate_hz=100, reactions=declared, on_trip=on_trip, hold_s=hold_s)
     watcher = Watcher(run.world)
     run.open()
@@ -338,7 +338,7 @@ def test_an_estop_stops_all_whatever_happens(
     It trips in time, also by silence; and at the end all is off, or named.
     """
     drawn = Drawn()
-    declared = parse_reactions(reactions, kinds=KINDS_OF_FAULTS)
+    declared = Reaction.parse(reactions, kinds=KINDS_OF_FAULTS)
     run = begun_with_estop(drawn, reactions=declared, on_trip=on_trip, at_end=at_end)
     watcher, chain = Watcher(run.world), Chain(run)
     begun = run.clock.now()

@@ -25,7 +25,7 @@ from aces_bus.controller import (
     degrade,
     stop,
 )
-from aces_bus.controller.reactions import parse_reactions
+from aces_bus.controller.reactions import Reaction
 from aces_bus.errors import NotStoppedError, UnknownNameError
 from aces_bus.robot import Ended, Runner, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
@@ -277,7 +277,7 @@ def test_reactions_of_the_robot_file_and_of_the_call() -> None:
 
 def test_words_of_reactions() -> None:
     """Each word is a reaction; who is named goes before all others; slips are errors with what there is."""
-    found = parse_reactions(
+    found = Reaction.parse(
         {
             "silent": "disable",
             "silent@JMC1": "hold",
@@ -300,7 +300,7 @@ def test_words_of_reactions() -> None:
         ({"silent@JMC9": "hold"}, "JMC1"),
     ):
         with pytest.raises(UnknownNameError, match=near):
-            parse_reactions(wrong, kinds=KINDS_OF_FAULTS, sources=["JMC1"])
+            Reaction.parse(wrong, kinds=KINDS_OF_FAULTS, sources=["JMC1"])
 
 
 # ---------------------------------------------------------------------- controllers

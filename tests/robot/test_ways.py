@@ -6,13 +6,11 @@ import math
 from itertools import pairwise
 from typing import Any
 
-import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aces_bus import load_robot
-from aces_bus.controller.following import Following, following_of
 from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
@@ -174,21 +172,6 @@ S1 = { driver = "robotis_rx", bus = "line", credentials = { id = 1 } }
 
 
 # ---------------------------------------------------------------------- following
-
-
-def test_what_counts_as_not_following() -> None:
-    """Revolute joints that are set by position have 0.2 rad and 1.5 s; a file says otherwise, or 0 for never."""
-    text = ROBOT.replace("aliases = ['HIP2']", "following_error = 0.5")
-    text = text.replace("aliases = ['ROLL2']", "following_error = 0")
-    text = text.replace("'JMC1', channel = 0,", "'JMC1', channel = 0, type = 'prismatic',")
-    robot, problems = parse_robot(text)
-    assert robot is not None, problems
-    assert following_of(robot) == {"HIP": Following(0.5, 0.5)}
-    idle = msgspec.structs.replace(robot.joints["HIP"], active=False)
-    by_speed = msgspec.structs.replace(robot.joints["HIP"], command="speed")
-    for joint in (idle, by_speed):
-        assert following_of(msgspec.structs.replace(robot, joints={"HIP": joint})) == {}
-    assert set(following_of(load_robot("hubo2plus")).values()) == {Following(0.2, 1.5)}
 
 
 def test_a_jam_that_a_d08_board_never_reports_is_found() -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from functools import reduce
-from operator import xor
-
 import pytest
 from construct import Byte, Const, GreedyRange, If, Int16ul, Int32ul, Struct, this
 
 from aces_bus import Frame, Unknown, as_dict
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Crc, Extra, IdField, Multiplexed, Protocol, Xor
-from aces_bus.protocol.declare.checks import xor_of
 from aces_bus.protocol.live.stream import StreamScanner
 
 
@@ -129,10 +125,3 @@ def test_a_seeded_check_needs_its_seed() -> None:
     scanner.close()
     assert scanner.counts.reasons["malformed: no message 2 to check by"] == 1
     assert scanner.counts.decoded == 5
-
-
-def test_exclusive_or_of_any_length() -> None:
-    """Folding gives what going through the bytes gives."""
-    for size in (*range(70), 255, 256, 257, 1000):
-        data = bytes((7 * n * n + size) % 256 for n in range(size))
-        assert xor_of(data) == reduce(xor, data, 0)

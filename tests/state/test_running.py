@@ -22,7 +22,6 @@ from aces_bus.state import (
     RateLimit,
     Sos,
     StateError,
-    derived,
     iir,
     notch,
 )
@@ -371,15 +370,3 @@ def test_what_is_made_of_a_state_begins_anew_with_it() -> None:
     assert even.counts.late == 0
     assert even.instant == S
     assert omega.at(1100 * MS) == pytest.approx(3.0)
-
-
-def test_a_function_that_raises_does_not_stop_its_inputs() -> None:
-    """Whoever subscribes to a computed quantity gets unknown where its function raised; the reader gets the exception."""
-    omega = made()
-    odd = derived("odd", lambda value: [][0], omega)
-    out = odd.integral()
-    omega.push(1.0, 0)
-    assert out[0] is UNKNOWN
-    assert isinstance(odd.failure, IndexError)
-    with pytest.raises(IndexError):
-        _ = odd[0]

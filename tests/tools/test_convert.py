@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.recordings.filters import parse_filter, passing
-from aces_bus.recordings.merge import merge_by_time
+from aces_bus.recordings.merge import Merge
 from aces_bus.recordings.open import formats
 from aces_tools import console, convert
 
@@ -224,7 +224,7 @@ def test_merging_sorts_and_loses_nothing(times: list[list[int]], sizes: list[int
         )
     found = [
         (f.timestamp, f.arbitration_id, f.data[0])
-        for table in merge_by_time(captures)
+        for table in Merge.by_time(captures)
         for f in table.frames()
     ]
     expected = [(time, number, place) for number, row in enumerate(times) for place, time in enumerate(row)]
@@ -235,7 +235,7 @@ def test_merging_keeps_the_order_of_a_capture() -> None:
     """A frame that is earlier than one before it in its capture, or has no time, comes right behind that."""
     one = FrameTable.from_frames([Frame(1, b"", t) for t in (1.0, 5.0, 2.0, None, 6.0)])
     two = FrameTable.from_frames([Frame(2, b"", t) for t in (3.0, 5.5)])
-    found = [frame.timestamp for table in merge_by_time([[one], [two]]) for frame in table.frames()]
+    found = [frame.timestamp for table in Merge.by_time([[one], [two]]) for frame in table.frames()]
     assert found == [1.0, 3.0, 5.0, 2.0, None, 5.5, 6.0]
 
 

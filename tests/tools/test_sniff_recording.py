@@ -82,7 +82,9 @@ def test_a_database_that_fails_ends_the_run(
     aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """SQLite's own errors are an end like any other, said with the file."""
-    monkeypatch.setattr("aces_tools.live_log.INSERT", "INSERT INTO lost VALUES (?)")
+    monkeypatch.setattr(
+        "aces_bus.recordings.write.canlog.CanlogSqliteWriter.INSERT", "INSERT INTO lost VALUES (?)"
+    )
     opened.then(node.walk)
     record = tmp_path / "walk.db"
     found = aces("sniff", *node.options, "--record", record)

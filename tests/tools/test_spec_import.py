@@ -25,7 +25,7 @@ from aces_bus import Frame, make_scanner
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.exchange import load_database, print_source
-from aces_bus.protocol.exchange.names import python_name
+from aces_bus.protocol.exchange.import_dbc import protocol_name
 from aces_bus.protocol.plan.flatten import flatten
 from aces_tools.main import main
 from tests.protocol.test_dbc_equal import databases
@@ -348,7 +348,7 @@ VAL_ 100 mode 1 "{dbc}" 2 "b" ;
 @given(st.text(min_size=1, max_size=12))
 def test_names_of_a_file_are_names_of_python(name: str) -> None:
     """A protocol called anything at all gives a variable that hides no word of the source."""
-    protocol = Protocol(python_name(name), link="can", doc=name, source=name)
+    protocol = Protocol(protocol_name(f"{name}.dbc"), link="can", doc=name, source=name)
     same(run_source(print_source(protocol)), protocol)
 
 

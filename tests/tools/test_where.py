@@ -10,7 +10,7 @@ from construct import Array, Byte, Bytes, Float32l, GreedyRange, Int16sl, Struct
 from aces_bus import Frame, FrameTable, make_column_scanner
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Multiplexed, Protocol, Quantity, Text, bits
-from aces_bus.recordings.where import Where, WhereColumns, parse_condition
+from aces_bus.recordings.where import Where, WhereColumns
 from aces_tools.output.shape import plans_of
 
 spec = Protocol("where_spec", link="can")
@@ -153,7 +153,7 @@ def test_all_conditions_must_hold() -> None:
 def test_what_is_no_condition(text: str) -> None:
     """Is refused with how one is written."""
     with pytest.raises(CallerError, match="--where"):
-        parse_condition(text)
+        Where([text], PLANS)
 
 
 @pytest.mark.parametrize(

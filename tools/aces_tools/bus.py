@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    from aces_bus.hardware.served.address import PORT, SOCKETCAND_PORT, parse_host
+    from aces_bus.hardware.served.address import PORT, SOCKETCAND_PORT, ServedAddress
     from aces_bus.hardware.served.channel import ServedChannel
     from aces_bus.hardware.served.server import BusServer
 
@@ -162,8 +162,12 @@ def _serve(arguments: argparse.Namespace) -> int:
         for name in names
     ]
     unix = arguments.unix if arguments.unix is not None else "" if arguments.tcp is None else None
-    tcp = None if arguments.tcp is None else parse_host(arguments.tcp, PORT)
-    socketcand = None if arguments.socketcand is None else parse_host(arguments.socketcand, SOCKETCAND_PORT)
+    tcp = None if arguments.tcp is None else ServedAddress.parse_host(arguments.tcp, PORT)
+    socketcand = (
+        None
+        if arguments.socketcand is None
+        else ServedAddress.parse_host(arguments.socketcand, SOCKETCAND_PORT)
+    )
     server = BusServer(
         channels, unix=unix, tcp=tcp, socketcand=socketcand, bind_anywhere=arguments.bind_anywhere, said=say
     )
@@ -324,12 +328,12 @@ def _load(arguments: argparse.Namespace) -> int:
 
 def _served_address(text: str | None, interface: str | None) -> str | None:
     """Return the address of a served bus, when that is what is meant."""
-    from aces_bus.hardware.served.address import is_served
+    from aces_bus.hardware.served.address import ServedAddress
     from aces_bus.hardware.served.stream import served_channels
 
     if interface not in (None, "aces"):
         return None
-    if is_served(text):
+    if ServedAddress.is_served(text):
         return text
     known = served_channels()
     if text is None and len(known) == 1:
@@ -347,10 +351,10 @@ def _is_network(name: str) -> bool:
 
 def _served_load(text: str, seconds_ns: int | None) -> Iterator[dict[str, Any]]:
     """Yield a measure a second, as the server knows it."""
-    from aces_bus.hardware.served.address import parse_address
+    from aces_bus.hardware.served.address import ServedAddress
     from aces_bus.hardware.served.stream import ask
 
-    address = parse_address(text)
+    address = ServedAddress.parse(text)
 
     def look() -> dict[str, Any]:
         try:

@@ -240,10 +240,10 @@ def _take_name(arguments: argparse.Namespace) -> None:
 
 def served_address(channel: str) -> str | None:
     """Return the address of a channel that is served on this machine, by its name or address; None of any other."""
-    from aces_bus.hardware.served.address import is_served
+    from aces_bus.hardware.served.address import ServedAddress
     from aces_bus.hardware.served.stream import served_channels
 
-    return channel if is_served(channel) else served_channels().get(channel)
+    return channel if ServedAddress.is_served(channel) else served_channels().get(channel)
 
 
 def buses_here() -> list[str]:

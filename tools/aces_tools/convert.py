@@ -29,10 +29,10 @@ import numpy as np
 
 from aces_bus import FrameTable, open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.frame_table import ERROR, NO_TIME, to_ns
+from aces_bus.frame_table import NO_TIME, FrameFlag, to_ns
 from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.filters import parse_filter, passing
-from aces_bus.recordings.merge import Relabel, merge_by_time
+from aces_bus.recordings.merge import Merge, Relabel
 from aces_bus.recordings.open import formats
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.recordings.write import (
@@ -241,7 +241,7 @@ class Conversion:
             if [capture.name] == measured:
                 self.progress.opened(capture)
         wanted = [map(self._passing, capture.tables()) for capture in captures]
-        for table in patience.each(merge_by_time(wanted, self.relabel)):
+        for table in patience.each(Merge.by_time(wanted, self.relabel)):
             self._write(table, writer)
 
     def _write(self, table: FrameTable, writer: OpenWriter) -> None:
@@ -250,7 +250,7 @@ class Conversion:
                 self.window.see(self.first)
             table = table.take(self.window.inside(table.time))
         self.written += len(table)
-        self.errors += int(np.count_nonzero(table.flags & ERROR))
+        self.errors += int(np.count_nonzero(table.flags & FrameFlag.ERROR))
         if len(table):
             writer.write(table)
         self._after(writer)

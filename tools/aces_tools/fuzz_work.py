@@ -20,12 +20,12 @@ from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
-from aces_bus.testing import Fuzzer, laws
-from aces_bus.testing.coverage import KINDS, Coverage, Feature
+from aces_bus.testing import LAWS, Fuzzer, Scene, laws
+from aces_bus.testing.coverage import Coverage, Feature
 from aces_bus.testing.drawing import scene_drawing
 from aces_bus.testing.fuzz import Failure
+from aces_bus.testing.laws import Way
 from aces_bus.testing.saved import load_scene, save_scene
-from aces_bus.testing.scenes import Way
 from aces_bus.testing.trial import Law
 
 from .protocols_arg import named_protocol
@@ -119,7 +119,7 @@ class FuzzWorker:
     """The fuzzer of this process; what is in the corpus is judged before anything else."""
 
     def __init__(self, job: FuzzJob) -> None:
-        chosen = [law for law in laws.LAWS if law.number in job.laws]
+        chosen = [law for law in LAWS if law.number in job.laws]
         self.job = job
         self.fuzzer = Fuzzer(
             [place for text in job.names for place in places(text)], seed=job.seed, laws=chosen
@@ -222,7 +222,7 @@ def _captured(fuzzer: Fuzzer, name: str) -> None:
                     break
         for start in range(0, len(traffic), size):
             piece: Any = traffic[start : start + size]
-            scene = laws.Scene(tuple(piece) if is_can else b"".join(piece))
+            scene = Scene(tuple(piece) if is_can else b"".join(piece))
             for bench in fuzzer.benches:
                 if bench.is_can == is_can:
                     fuzzer.judge(bench, scene, (len(scene) // 2,))
@@ -262,15 +262,15 @@ def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
 def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
     """Return the numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
     found = {_law(law.strip()).number for text in texts for law in text.split(",")}
-    return tuple(sorted(found)) or tuple(law.number for law in laws.LAWS)
+    return tuple(sorted(found)) or tuple(law.number for law in LAWS)
 
 
 def _law(text: str) -> Law:
     wanted = text.lower().replace("-", " ").replace("_", " ")
-    for law in laws.LAWS:
+    for law in LAWS:
         if wanted in (str(law.number), law.name, f"{law.number} {law.name}"):
             return law
-    raise UnknownNameError("law", text, [str(law) for law in laws.LAWS])
+    raise UnknownNameError("law", text, [str(law) for law in LAWS])
 
 
 # ---------------------------------------------------------------------- what is printed
@@ -296,7 +296,7 @@ def coverage_table(coverage: Coverage, width: int) -> str:
     """Return what was reached, a line a message; then what never was."""
     lines: list[str] = []
     for protocol in coverage.protocols:
-        parts = [(PLURALS[kind], *coverage.parts(protocol, kind)) for kind in KINDS]
+        parts = [(PLURALS[kind], *coverage.parts(protocol, kind)) for kind in Coverage.KINDS]
         lines.append(f"{protocol}: " + ", ".join(f"{n}/{all} {kind}" for kind, n, all in parts if all))
         names = sorted(f[2] for f in coverage.expected if f[0] == protocol and f[1] == "message")
         long = max([len("message"), *map(len, names)])
@@ -316,7 +316,7 @@ def coverage_table(coverage: Coverage, width: int) -> str:
                 ends.setdefault(framing, []).append(f"{end} {coverage.reached[protocol, 'template', what]}")
         lines += [f"  {framing}: {', '.join(texts)}" for framing, texts in ends.items()]
         never = coverage.never(protocol)
-        for kind in KINDS:
+        for kind in Coverage.KINDS:
             missing = [name for _, k, name in never if k == kind]
             if missing:
                 more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
@@ -343,7 +343,7 @@ def as_json(
                 PLURALS[kind].replace(" ", "_"): dict(
                     zip(("reached", "of"), coverage.parts(protocol, kind), strict=True)
                 )
-                for kind in KINDS
+                for kind in Coverage.KINDS
             },
             "never": [f"{kind} {name}" for _, kind, name in coverage.never(protocol)],
             "records": {

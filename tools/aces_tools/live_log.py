@@ -31,7 +31,7 @@ from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.recordings.base import CanRecording, Link
 from aces_bus.recordings.write import PACKED, open_writer, writer_format, writer_formats
-from aces_bus.recordings.write.canlog import CREATE, INSERT, CanlogSqliteWriter
+from aces_bus.recordings.write.canlog import CanlogSqliteWriter
 
 from .console import say
 from .rotation import Rotation, numbered
@@ -137,7 +137,7 @@ class DatabaseFile:
         self._rows: list[Any] = []
         self._base = JournaledDatabase(path)
         with self._base.transaction() as database:
-            database.execute(CREATE)
+            database.execute(CanlogSqliteWriter.CREATE)
 
     @property
     def lossy(self) -> dict[str, int]:
@@ -156,7 +156,7 @@ class DatabaseFile:
     def commit(self) -> None:
         rows, self._rows = self._rows, []
         with telling(self._path), self._base.transaction() as database:
-            database.executemany(INSERT, rows)
+            database.executemany(CanlogSqliteWriter.INSERT, rows)
 
     def sync(self) -> None:
         with telling(self._path):

@@ -11,7 +11,8 @@ import numpy as np
 
 from aces_bus import FrameTable
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.frame_table import KEY_REMOTE, NO_TIME
+from aces_bus.frame_table import NO_TIME
+from aces_bus.frames import REMOTE
 from aces_bus.protocol.columns.table import ColumnKind
 from aces_bus.recordings.base import CanRecording
 from aces_bus.recordings.pieces import open_any
@@ -222,7 +223,7 @@ class ByteDrawing(FrameDrawing):
     def add(self, table: FrameTable) -> None:
         for identifier, rows in identifier_groups(table):
             lengths = table.length[rows]
-            if identifier.key & KEY_REMOTE or not lengths.any():
+            if identifier.key & REMOTE or not lengths.any():
                 continue
             self.seen[identifier] = None
             if not any(pattern.fits(identifier) for pattern in self.patterns):

@@ -26,7 +26,7 @@ from aces_bus.errors import AcesError, UnknownNameError
 from aces_bus.protocol import Message, Protocol, Variant
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.registers import Register
-from aces_bus.protocol.draw.table import captured_values, field_table, row_of
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.generate.decode import Decoder
@@ -218,7 +218,7 @@ def _recognised_by(message: Message) -> str:
             covered |= set(range(head.offset, head.offset + head.size))
             own = head.wanted
             if head.is_own and not head.is_constant:
-                own = captured_values(message)[head.pattern.captures[0].name]
+                own = FieldRow.captured(message)[head.pattern.captures[0].name]
             parts.append(f"{head.name}={own}" if head.name else own)
     framing = message.framing
     start = len(framing.sync) if framing is not None else 0
@@ -253,7 +253,7 @@ def _print_registers(registers: Sequence[Register], page: Page) -> None:
 
 def _of_register(register: Register) -> dict[str, Any]:
     try:
-        row = row_of(register.name, scalar_of(register.field, register.address), register.doc)
+        row = FieldRow.of(register.name, scalar_of(register.field, register.address), register.doc)
         kind, span, names = row.type, row.range, row.names
     except NotFlat:
         kind, span, names = counted(register.size, "byte"), "", ""
@@ -291,7 +291,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
         for name, text in _template(message):
             page.beside(f"  {name:<13}", [text], "place")
         page.lines(["", *picture(message), ""])
-        rows = field_table(flatten(message), captured_values(message))
+        rows = FieldRow.table(flatten(message), FieldRow.captured(message))
         cells = [
             (
                 r.name,
@@ -310,7 +310,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
 
 def _template(message: Message) -> list[tuple[str, str]]:
     """Return what says which frames or packets are this message."""
-    values = captured_values(message) if message.protocol.link == "can" else {}
+    values = FieldRow.captured(message) if message.protocol.link == "can" else {}
     kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
     parts = [
         f"{name} {values[name]}"
@@ -410,7 +410,7 @@ def _of_message(message: Message, *, is_whole: bool) -> dict[str, Any]:
         "fields": list(message.fields),
     }
     if is_whole:
-        rows = field_table(plan, captured_values(message))
+        rows = FieldRow.table(plan, FieldRow.captured(message))
         found["fields"] = [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows]
         found["picture"] = picture(message)
     return found

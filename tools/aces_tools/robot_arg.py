@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-from aces_bus.hardware.served.address import is_served
+from aces_bus.hardware.served.address import ServedAddress
 
 from .bus_arg import near_buses, served_address
 from .options import SEED, Argument, Group, argument, at_least, flag, several
@@ -204,11 +204,16 @@ def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[s
         found[name]["channel"] = channel
     for name, bus in robot.buses.items():
         channel = str(found[name].get("channel", ""))
-        if bus.link == "can" and is_served(channel):
+        if bus.link == "can" and ServedAddress.is_served(channel):
             found[name]["interface"] = "aces"
         elif bus.link == "can" and arguments.interface:
             found[name]["interface"] = arguments.interface
-            if arguments.interface == "aces" and not channel and bus.channel and not is_served(bus.channel):
+            if (
+                arguments.interface == "aces"
+                and not channel
+                and bus.channel
+                and not ServedAddress.is_served(bus.channel)
+            ):
                 # A virtual bus within this program would have no other node on it.
                 found[name]["channel"] = f"unix:{bus.channel}"
         elif bus.link == "can" and channel and not bus.interface and (address := served_address(channel)):

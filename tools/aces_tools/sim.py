@@ -304,11 +304,11 @@ class SimulatedRobot:
 
     def _wanted(self, name: str, options: Mapping[str, Any]) -> str | None:
         """Return the served bus's address for a CAN bus, `unix:NAME`; None: it is a bus that is there."""
-        from aces_bus.hardware.served.address import is_served
+        from aces_bus.hardware.served.address import ServedAddress
 
         written = self.robot.buses[name].channel or name
         if not options and not written.startswith("tcp:"):
-            return written if is_served(written) else f"unix:{written}"
+            return written if ServedAddress.is_served(written) else f"unix:{written}"
         channel = str(options.get("channel", ""))
         is_ours = channel.startswith("unix:") and options.get("interface") == "aces"
         return channel if is_ours else None
@@ -317,7 +317,7 @@ class SimulatedRobot:
         self, wanted: Mapping[str, str | None], options: dict[str, dict[str, Any]], stack: ExitStack
     ) -> None:
         """Serve a bus for each address that is not served yet; one that the call names and that is served is joined."""
-        from aces_bus.hardware.served.address import parse_address
+        from aces_bus.hardware.served.address import ServedAddress
         from aces_bus.hardware.served.channel import ServedChannel
         from aces_bus.hardware.served.server import BusServer
         from aces_bus.robot.rig import spoken_on
@@ -325,7 +325,7 @@ class SimulatedRobot:
         for name, text in wanted.items():
             if text is None:
                 continue
-            address = parse_address(text)
+            address = ServedAddress.parse(text)
             is_served = _answers(address)
             if is_served and not options[name]:
                 other = f"{self.robot.name}_{name}"

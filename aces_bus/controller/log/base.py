@@ -25,10 +25,6 @@ from .columns import LogColumn, parse_column
 Row = tuple[int, list[float]]
 Floats = npt.NDArray[np.float64]
 
-#: Numbers that a log may have, 0.4 GB: four days of 60 states at 200 Hz have 4 × 10⁹, and are read in a database.
-MOST_NUMBERS = 50_000_000
-NOT_CLOSED = "{}: the log was not closed, and is read as far as it was written"
-
 
 class About(msgspec.Struct, frozen=True):
     """What a log says of itself. `wall_ns` is ns since 1970 at its start; None where the clock knows none (virtual time)."""
@@ -54,13 +50,13 @@ class About(msgspec.Struct, frozen=True):
         """Return it as formats with metadata keep it."""
         return msgspec.json.encode(self).decode()
 
-
-def about_of(text: str | bytes) -> About | None:
-    """Return what `to_json` gave; None for anything else."""
-    try:
-        return msgspec.json.decode(text, type=About)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return None
+    @staticmethod
+    def parse(text: str | bytes) -> About | None:
+        """Return what `to_json` gave; None for anything else."""
+        try:
+            return msgspec.json.decode(text, type=About)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            return None
 
 
 class LogSink(ABC):
@@ -155,17 +151,23 @@ class Log:
         long = f"{self.time_s[-1] - self.time_s[0]:g} s" if len(self) else "empty"
         return f"{self.path}: {self.format}, {len(self)} rows × {len(self.columns)} columns, {long}"
 
+    #: Numbers that a log may have, 0.4 GB: four days of 60 states at 200 Hz have 4 × 10⁹, and are read in a database.
+    MOST_NUMBERS = 50_000_000
+    NOT_CLOSED = "{}: the log was not closed, and is read as far as it was written"
 
-def made_log(path: str, format: str, about: About, table: Any, notes: list[str], time_s: Any = None) -> Log:
-    """Return a log of a table (rows, 1 + columns) whose first column is the time, or of `time_s` beside the columns."""
-    if time_s is None:
-        time_s, table = table[:, 0], table[:, 1:]
-    return Log(path, format, about.columns, time_s, table, about, notes)
+    @staticmethod
+    def of_table(
+        path: str, format: str, about: About, table: Any, notes: list[str], time_s: Any = None
+    ) -> Log:
+        """Return a log of a table (rows, 1 + columns) whose first column is the time, or of `time_s` beside the columns."""
+        if time_s is None:
+            time_s, table = table[:, 0], table[:, 1:]
+        return Log(path, format, about.columns, time_s, table, about, notes)
 
 
 def about_columns(path: str, text: str | bytes, names: list[str]) -> About:
     """Return what a file says of itself, or its columns' names alone where it says nothing about just these."""
-    about = about_of(text)
+    about = About.parse(text)
     return about if about is not None and about.names == names else About(named_columns(path, names))
 
 

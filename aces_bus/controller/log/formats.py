@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from ...errors import CallerError, UnknownNameError
 from ...export.parquet import close_journal, journal_of
 from ...plugins import installed_items
-from .base import MOST_NUMBERS, About, Log, LogError, LogSink
+from .base import About, Log, LogError, LogSink
 from .text import TextSink
 
 
@@ -95,7 +95,7 @@ def open_sink(path: str, format: str, about: About, digits: int | None = None) -
     return sink
 
 
-def read_log(path: str | os.PathLike[str], *, most_numbers: int = MOST_NUMBERS) -> Log:
+def read_log(path: str | os.PathLike[str], *, most_numbers: int = Log.MOST_NUMBERS) -> Log:
     """Read a log: the original's text (bare names, or `Name(attribute)`), CSV, SQLite, Parquet, MCAP.
 
     `log.time_s` is (rows,) in seconds, `log["RHY"]` a column, NaN where unknown. Raises `LogError` with file:line for

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...errors import CallerError
 from ...export.parquet import ParquetJournal, journal_batches, load_parquet, opened_journal
-from .base import NOT_CLOSED, About, Floats, Log, LogError, LogSink, Row, about_columns, made_log
+from .base import About, Floats, Log, LogError, LogSink, Row, about_columns
 from .columns import MOST_COLUMNS
 
 KEY = b"aces_log"
@@ -70,7 +70,7 @@ def read_journal(path: str, most_numbers: int) -> Log:
     pa = load_parquet()
     try:
         with opened_journal(path) as reader:
-            notes = [NOT_CLOSED.format(path)]
+            notes = [Log.NOT_CLOSED.format(path)]
             return _read(path, reader.schema, journal_batches(reader), most_numbers, notes)
     except LogError:
         raise
@@ -96,7 +96,7 @@ def _read(path: str, schema: Any, batches: Iterable[Any], most_numbers: int, not
         if numbers > most_numbers:
             raise LogError(f"{path}: more than {most_numbers} numbers; read it with pyarrow, in parts")
         parts.append(_numbers(batch))
-    return made_log(path, "parquet", about, np.concatenate(parts), notes)
+    return Log.of_table(path, "parquet", about, np.concatenate(parts), notes)
 
 
 def _numbers(batch: Any) -> Floats:

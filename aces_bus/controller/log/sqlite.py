@@ -21,7 +21,7 @@ import numpy as np
 
 from ...export.sqlite import JournaledDatabase, sql_name
 from ...recordings.sqlite import UntrustedDatabase
-from .base import About, Log, LogError, LogSink, Row, about_columns, made_log
+from .base import About, Log, LogError, LogSink, Row, about_columns
 from .columns import MOST_COLUMNS
 
 _ROWS = 1024
@@ -100,4 +100,4 @@ def _read(source: UntrustedDatabase, path: str, most_numbers: int) -> Log:
         if len(numbers) > most_numbers:
             raise LogError(f"{path}: more than {most_numbers} numbers; read it with SQLite, in parts")
     table = np.array(numbers, np.float64).reshape(-1, len(names))
-    return made_log(path, "sqlite", about, table, [])
+    return Log.of_table(path, "sqlite", about, table, [])

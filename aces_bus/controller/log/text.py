@@ -25,7 +25,7 @@ import numpy as np
 from ...export.files import AppendFile
 from ...plain_text import cell_text, text_of_cell
 from ..number_text import NumberText
-from .base import About, Log, LogError, LogSink, Row, made_log, named_columns, seconds_text
+from .base import About, Log, LogError, LogSink, Row, named_columns, seconds_text
 from .columns import MOST_COLUMNS, LogColumn
 
 #: 2,000 names, at their longest; a row of as many numbers is a tenth of it.
@@ -151,4 +151,4 @@ def read_text_log(path: str, most_numbers: int) -> Log:
     if not width:
         raise LogError(f"{path}: empty")
     table = np.array(numbers, np.float64).reshape(-1, width)
-    return made_log(path, "csv" if is_csv else "text", About(columns), table, notes)
+    return Log.of_table(path, "csv" if is_csv else "text", About(columns), table, notes)

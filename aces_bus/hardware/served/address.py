@@ -64,40 +64,40 @@ class ServedAddress:
             raise
         return stream
 
+    @staticmethod
+    def is_served(channel: object) -> bool:
+        """Return whether a channel's name is an address of a served bus."""
+        return isinstance(channel, str) and channel.startswith(("unix:", "tcp:"))
+
+    @staticmethod
+    def parse(text: str) -> ServedAddress:
+        """Parse `unix:PATH`, `unix:NAME` (a default socket of this user) or `tcp:HOST:PORT[/CHANNEL]`."""
+        kind, _, rest = text.partition(":")
+        if kind == "unix" and rest:
+            return ServedAddress(path=rest if "/" in rest or os.sep in rest else str(default_socket(rest)))
+        if kind == "tcp":
+            where, _, channel = rest.partition("/")
+            host, port = ServedAddress.parse_host(where, None)
+            return ServedAddress(host=host, port=port, channel=channel)
+        raise CallerError(
+            f"{text!r} is not an address of a served bus; they are unix:PATH, unix:NAME or tcp:HOST:PORT[/CHANNEL]"
+        )
+
+    @staticmethod
+    def parse_host(text: str, port: int | None) -> tuple[str, int]:
+        """Parse HOST:PORT, [HOST]:PORT, or HOST alone with the default `port`. An empty host is this machine."""
+        host, colon, number = text.rpartition(":")
+        if (not colon or text.endswith("]")) and port is not None:
+            host, number = text, str(port)
+        if not number.isascii() or not number.isdigit() or int(number) > 65_535:
+            raise CallerError(f"{text!r} is not a HOST:PORT")
+        return host.strip("[]") or "127.0.0.1", int(number)
+
 
 def check_timeout(timeout: float) -> None:
     """Raise `CallerError` for what is not a time (s) that a program can wait."""
     if not 0 < timeout <= LONGEST_S:
         raise CallerError(f"a time-out of {timeout:g} s: it is more than 0 and at most {LONGEST_S:g}")
-
-
-def is_served(channel: object) -> bool:
-    """Return whether a channel's name is an address of a served bus."""
-    return isinstance(channel, str) and channel.startswith(("unix:", "tcp:"))
-
-
-def parse_address(text: str) -> ServedAddress:
-    """Parse `unix:PATH`, `unix:NAME` (a default socket of this user) or `tcp:HOST:PORT[/CHANNEL]`."""
-    kind, _, rest = text.partition(":")
-    if kind == "unix" and rest:
-        return ServedAddress(path=rest if "/" in rest or os.sep in rest else str(default_socket(rest)))
-    if kind == "tcp":
-        where, _, channel = rest.partition("/")
-        host, port = parse_host(where, None)
-        return ServedAddress(host=host, port=port, channel=channel)
-    raise CallerError(
-        f"{text!r} is not an address of a served bus; they are unix:PATH, unix:NAME or tcp:HOST:PORT[/CHANNEL]"
-    )
-
-
-def parse_host(text: str, port: int | None) -> tuple[str, int]:
-    """Parse HOST:PORT, [HOST]:PORT, or HOST alone with the default `port`. An empty host is this machine."""
-    host, colon, number = text.rpartition(":")
-    if (not colon or text.endswith("]")) and port is not None:
-        host, number = text, str(port)
-    if not number.isascii() or not number.isdigit() or int(number) > 65_535:
-        raise CallerError(f"{text!r} is not a HOST:PORT")
-    return host.strip("[]") or "127.0.0.1", int(number)
 
 
 def check_loopback(host: str, port: int) -> None:

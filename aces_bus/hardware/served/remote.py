@@ -29,7 +29,7 @@ from ...python_can import frame_to_message
 from ..python_can import QUEUE, VirtualBus
 from ..simulated.bus_event import SimulatedBusEvent
 from . import packets
-from .address import parse_address
+from .address import ServedAddress
 from .packets import FRAMES, OWN, PacketError
 from .readable import ReadableFile
 from .stream import ANSWER_S, ServerConnection, read_status, wait
@@ -67,7 +67,7 @@ class ServedBus(VirtualBus):
         **more: Any,
     ) -> None:
         try:
-            address = parse_address(channel)
+            address = ServedAddress.parse(channel)
             hello = packets.Hello(
                 address.channel,
                 int(bitrate or 0),

@@ -15,7 +15,7 @@ from typing import Any
 
 from ...errors import AcesError
 from . import packets
-from .address import ServedAddress, check_timeout, notes, parse_address
+from .address import ServedAddress, check_timeout, notes
 from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
@@ -213,7 +213,7 @@ def servers(timeout: float = ANSWER_S) -> list[dict[str, Any]]:
         status = None
         for text in texts:
             try:
-                status = ask(parse_address(text), timeout)
+                status = ask(ServedAddress.parse(text), timeout)
                 break
             except TimeoutError:  # at its other addresses the same one would be waited for
                 break

@@ -33,7 +33,7 @@ from ...frames import Frame, message_to_frame
 from ...python_can import copy_message, frame_to_message
 from ...runtime import VirtualClock
 from ..python_can import QUEUE, VirtualBus
-from ..served.address import is_served
+from ..served.address import ServedAddress
 from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus
 from .bus_event import SimulatedBusEvent
 
@@ -97,7 +97,7 @@ class AcesBus(VirtualBus):
     """
 
     def __new__(cls, channel: Any = "can0", *rest: Any, **options: Any) -> AcesBus:
-        if is_served(channel):
+        if ServedAddress.is_served(channel):
             from ..served.remote import ServedBus
 
             return ServedBus(channel, *rest, **options)  # type: ignore[return-value]

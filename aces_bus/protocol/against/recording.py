@@ -17,7 +17,7 @@ from ..columns.scanner import ColumnScanner, make_column_scanner
 from ..columns.table import MessageTable
 from ..declare.message import GivenWay, Message, Way, way_of
 from ..declare.protocol import Variant
-from ..lint.finding import sort_key
+from ..lint.finding import Finding
 from ..protocol import Protocol
 from .fields import AGAIN, MessageWatch
 from .finding import Moment, Observation
@@ -203,7 +203,7 @@ class RecordingCheck:
     def observations(self) -> list[Observation]:
         """Return what the recordings say, by file and line; what comments in the spec allow is left out."""
         return sorted(
-            (observation for observation in self._every() if not observation.is_allowed), key=sort_key
+            (observation for observation in self._every() if not observation.is_allowed), key=Finding.sort_key
         )
 
     def _every(self) -> Iterator[Observation]:

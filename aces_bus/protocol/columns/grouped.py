@@ -10,8 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...frame_table import FD as FD_FLAG
-from ...frame_table import FrameTable, rows_at
+from ...frame_table import FrameFlag, FrameTable, rows_at
 from ...frames import FD
 from .table import Array
 
@@ -65,7 +64,7 @@ class GroupedFrames:
 
 def bare_keys(table: FrameTable) -> Array:
     """Return the keys of frames without the flag of CAN FD."""
-    if not len(table.flags) or not int(np.bitwise_or.reduce(table.flags)) & FD_FLAG:
+    if not len(table.flags) or not int(np.bitwise_or.reduce(table.flags)) & FrameFlag.FD:
         return table.key
     keys: Array = table.key & np.uint32(~FD & 0xFFFF_FFFF)
     return keys

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...frame_table import ERROR, UNUSUAL, FrameTable
+from ...frame_table import FrameFlag, FrameTable
 from ..live.decide import REMEMBERED
 from .key_numbers import KeyNumbers, few_keys
 from .table import Array
@@ -36,19 +36,19 @@ class KeySlots:
         """Return the slot of each frame, int32 (n,)."""
         flags = table.flags
         any_flags = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
-        if len(self._keys) < REMEMBERED and not any_flags & ERROR and (few := few_keys(table.key)):
+        if len(self._keys) < REMEMBERED and not any_flags & FrameFlag.ERROR and (few := few_keys(table.key)):
             slots = self._other_slots(few.present())
             if (slots == slots[0]).all():
                 return np.broadcast_to(slots[0], len(table))
-        if not any_flags & UNUSUAL:
+        if not any_flags & FrameFlag.UNUSUAL:
             return self._standard_slots(table.id)
         key = table.key
-        if (flags[0] == flags).all() and not any_flags & ERROR:
+        if (flags[0] == flags).all() and not any_flags & FrameFlag.ERROR:
             return self._other_slots(key)
         slots = np.empty(len(table), np.int32)
-        plain = (flags & UNUSUAL) == 0
+        plain = (flags & FrameFlag.UNUSUAL) == 0
         slots[plain] = self._standard_slots(table.id[plain])
-        errors = (flags & ERROR) != 0
+        errors = (flags & FrameFlag.ERROR) != 0
         slots[errors] = ERROR_FRAME
         others = ~(plain | errors)
         if others.any():

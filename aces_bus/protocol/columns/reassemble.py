@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...frame_table import EXTENDED, NO_TIME, RX, TX, FrameTable
+from ...frame_table import NO_TIME, FrameFlag, FrameTable
 from ..declare.transport import Transport
 from ..live.reassemble import Reassembler
 from .carried import NEXT, FrameParts, PartReader
@@ -31,7 +31,7 @@ _SIZES = (8, 64, 512)
 #: Above them, up to each further multiple of so many bytes.
 _STEP = 1024
 #: The flags of a frame that its packet has, too: those of its identifier and of its way.
-_KEPT = EXTENDED | RX | TX
+_KEPT = FrameFlag.EXTENDED | FrameFlag.RX | FrameFlag.TX
 
 
 class _Alike(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...frame_table import REMOTE, RX, TX, FrameTable, rows_at
+from ...frame_table import FrameFlag, FrameTable, rows_at
 from ..declare.message import Message
 from ..declare.transport import Transport
 from .reassemble import CarriedTable
@@ -87,9 +87,9 @@ class SlotBatch:
     def _lengths(self) -> Array:
         flags = self.table.flags
         length = self._in_order(self.table.length)
-        if int(np.bitwise_or.reduce(flags)) & REMOTE:
+        if int(np.bitwise_or.reduce(flags)) & FrameFlag.REMOTE:
             # A remote frame's number is what it asks for; data it has none.
-            return np.where(flags[self.order] & REMOTE, 0, length)
+            return np.where(flags[self.order] & FrameFlag.REMOTE, 0, length)
         return length
 
     @cached_property
@@ -107,7 +107,7 @@ class SlotBatch:
     @cached_property
     def _rx(self) -> Array:
         flags = self.table.flags
-        is_said = int(np.bitwise_or.reduce(flags)) & (RX | TX)
+        is_said = int(np.bitwise_or.reduce(flags)) & (FrameFlag.RX | FrameFlag.TX)
         return self._in_order(_way(flags)) if is_said else np.full(len(flags), 2, np.uint8)
 
     def _in_order(self, column: Array) -> Array:
@@ -191,7 +191,7 @@ def table_of_lost(table: FrameTable, rows: Array, places: Array, reasons: Sequen
 
 def _way(flags: Array) -> Array:
     """Return 1 for received, 0 for sent, 2 where it is not said."""
-    return np.where(flags & RX, 1, np.where(flags & TX, 0, 2)).astype(np.uint8)
+    return np.where(flags & FrameFlag.RX, 1, np.where(flags & FrameFlag.TX, 0, 2)).astype(np.uint8)
 
 
 def merge_tables(tables: Iterable[MessageTable]) -> list[MessageTable]:

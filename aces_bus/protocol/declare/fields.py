@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, BinaryIO, ClassVar, Literal, NamedTuple
 
 import msgspec
 from construct import (
@@ -19,6 +19,7 @@ from construct import (
     Bytes,
     BytesInteger,
     Construct,
+    Container,
     Default,
     FormatField,
     GreedyBytes,
@@ -692,7 +693,7 @@ class Flags(Field):
             number |= 1 << self.names[name]
         return number
 
-    def _build(self, obj: object, stream: object, context: object, path: str) -> int:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> int:
         super()._build(obj, stream, context, path)
         return int(
             self.to_raw(obj, path)

@@ -79,7 +79,7 @@ class Items(c.Construct):
             raise SpecError(f"{self.place}: counts and size_first are for items with a size")
         for name, kind in kinds.items():
             given: Any = kind
-            if not (isinstance(given, tuple) and len(kind) == 2 and isinstance(kind[1], c.Construct)):
+            if not (isinstance(given, tuple) and len(kind) == 2 and isinstance(given[1], c.Construct)):
                 raise SpecError(
                     f"{self.place}: kinds are written {{name: (number, construct)}}, not {{{name!r}: {kind!r}}}"
                 )

@@ -520,7 +520,9 @@ class Message:
     def counters(self) -> dict[str, int]:
         """Rolling counters of head and payload, with their modulus."""
         payload = self.payload
-        fields = [(head.name, head.field) for head in self.heads if head.pattern is None]
+        fields: list[tuple[str | None, c.Construct | None]] = [
+            (head.name, head.field) for head in self.heads if head.pattern is None
+        ]
         if isinstance(payload, BitLayout):
             fields += [(slot.name, slot.field) for slot in payload.slots]
         elif isinstance(payload, c.Struct):

@@ -183,12 +183,12 @@ def normalised(
         raise SpecError(
             f"{place}: a payload is a Struct, a BitLayout or a Delimited, not {payload!r}; one field goes into a Struct, too"
         )
+    known = {("_", *path): e for path, e in (around or {}).items()}
     try:
-        return _Walk(place, heads).of(
-            payload, "payload", {("_", *path): e for path, e in (around or {}).items()}
-        )
+        walked: c.Construct = _Walk(place, heads).of(payload, "payload", known)
     except RecursionError:
         raise SpecError(f"{place}: payload: its LazyBound gives another construct at each look") from None
+    return walked
 
 
 def inner_constructs(con: Any) -> list[Any]:
@@ -437,13 +437,14 @@ class _Walk:
         inner = self.of(con.subcon, path, {})
         self.in_bits = before
         size = sizes(inner)
-        if size != (con.decodeamount * factor,) * 2:
+        if con.decodeamount is None or size != (con.decodeamount * factor,) * 2:
             what = "bits" if factor == 8 else "bytes"
             raise SpecError(
                 f"{self.place}: {path}: {size[0]} {what} are read of {con.decodeamount} bytes; read them all,"
                 " or use a BitLayout"
             )
-        return _changed(con, "subcon", inner)
+        changed: c.Transformed = _changed(con, "subcon", inner)
+        return changed
 
     def _late(self, con: c.LazyBound, path: str, known: Known) -> c.LazyBound:
         if id(con) not in self.bound:

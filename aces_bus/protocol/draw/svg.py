@@ -19,15 +19,20 @@ SIZE = 12.0
 CHARACTER = 0.64
 FONT = "DejaVu Sans Mono, Menlo, Consolas, monospace"
 
-#: Colours by what they say.
-INK = "#1f2933"
-FAINT = "#7b8794"
-LINE = "#9aa5b1"
-PAPER = "#ffffff"
+
+class Colour:
+    """Colours by what they say."""
+
+    INK = "#1f2933"
+    FAINT = "#7b8794"
+    LINE = "#9aa5b1"
+    PAPER = "#ffffff"
+    GOOD, BAD, OPEN = "#bbf7d0", "#fecaca", "#f1f5f9"
+    GOOD_INK, BAD_INK = "#166534", "#991b1b"
+
+
 #: Fills of neighbouring cells.
 FILLS = ("#dbeafe", "#dcfce7", "#fef3c7", "#fce7f3", "#ede9fe", "#cffafe", "#ffedd5", "#e2e8f0")
-GOOD, BAD, OPEN = "#bbf7d0", "#fecaca", "#f1f5f9"
-GOOD_INK, BAD_INK = "#166534", "#991b1b"
 
 
 class Canvas:
@@ -47,9 +52,9 @@ class Canvas:
         y: float,
         width: float,
         height: float,
-        fill: str = PAPER,
+        fill: str = Colour.PAPER,
         *,
-        line: str = LINE,
+        line: str = Colour.LINE,
         weight: float = 1.0,
         round: float = 0,
     ) -> None:
@@ -62,7 +67,7 @@ class Canvas:
         self._reach(x + width, y + height)
 
     def line(
-        self, x: float, y: float, to_x: float, to_y: float, colour: str = LINE, *, weight: float = 1.0
+        self, x: float, y: float, to_x: float, to_y: float, colour: str = Colour.LINE, *, weight: float = 1.0
     ) -> None:
         """Draw a straight line."""
         self._parts.append(
@@ -75,7 +80,7 @@ class Canvas:
         x: float,
         y: float,
         text: str,
-        colour: str = INK,
+        colour: str = Colour.INK,
         *,
         size: float = SIZE,
         anchor: str = "start",
@@ -89,7 +94,7 @@ class Canvas:
             f'<text x="{x:g}" y="{y:g}" fill="{colour}" font-size="{size:g}" text-anchor="{anchor}"{bold}'
             f' xml:space="preserve">{title}{_clean(text)}</text>'
         )
-        reach = text_width(text, size)
+        reach = Canvas.text_width(text, size)
         self._reach(
             x + (reach if anchor == "start" else reach / 2 if anchor == "middle" else 0), y + size / 3
         )
@@ -101,21 +106,21 @@ class Canvas:
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}"'
             f' viewBox="{-margin:g} {-margin:g} {width:g} {height:g}" font-family={quoteattr(FONT)}>\n'
             f"<title>{_clean(title)}</title>\n"
-            f'<rect x="{-margin:g}" y="{-margin:g}" width="{width:g}" height="{height:g}" fill="{PAPER}"/>\n'
+            f'<rect x="{-margin:g}" y="{-margin:g}" width="{width:g}" height="{height:g}" fill="{Colour.PAPER}"/>\n'
             + "\n".join(self._parts)
             + "\n</svg>\n"
         )
 
+    @staticmethod
+    def text_width(text: str, size: float = SIZE) -> float:
+        """Return how wide a text is, in points."""
+        return CHARACTER * size * len(text)
 
-def text_width(text: str, size: float = SIZE) -> float:
-    """Return how wide a text is, in points."""
-    return CHARACTER * size * len(text)
-
-
-def fitted(text: str, width: float, size: float = SIZE) -> str:
-    """Return a text that is not wider than `width` points: its end is cut off, and marked by `…`."""
-    room = int(width / (CHARACTER * size))
-    return text if len(text) <= room else text[: max(0, room - 1)] + "…" if room > 0 else ""
+    @staticmethod
+    def fitted(text: str, width: float, size: float = SIZE) -> str:
+        """Return a text that is not wider than `width` points: its end is cut off, and marked by `…`."""
+        room = int(width / (CHARACTER * size))
+        return text if len(text) <= room else text[: max(0, room - 1)] + "…" if room > 0 else ""
 
 
 def _clean(text: str) -> str:
@@ -136,7 +141,7 @@ def picture_svg(messages: Iterable[Message]) -> str:
         canvas.text(0, top + 14, names[-1], is_bold=True, size=15)
         doc = message.doc.strip().partition("\n")[0]
         if doc:
-            canvas.text(0, top + 32, fitted(doc, FRONT + 8 * WIDE, 11), FAINT, size=11)
+            canvas.text(0, top + 32, Canvas.fitted(doc, FRONT + 8 * WIDE, 11), Colour.FAINT, size=11)
         top += 44 if doc else 26
         fills: dict[str, str] = {}
         for panel in panels(message.plan, marks_of(message)):
@@ -147,27 +152,35 @@ def picture_svg(messages: Iterable[Message]) -> str:
 
 def _panel(canvas: Canvas, panel: LayoutPanel, top: float, fills: dict[str, str]) -> float:
     if panel.title:
-        canvas.text(0, top + 12, panel.title, FAINT)
+        canvas.text(0, top + 12, panel.title, Colour.FAINT)
         top += 20
     if not panel.rows:
-        canvas.text(FRONT, top + 12, "no bytes", FAINT)
+        canvas.text(FRONT, top + 12, "no bytes", Colour.FAINT)
         return top + 18
     if any(len(parts) > 1 or place.isdecimal() for place, parts in panel.rows):
-        canvas.text(FRONT - 8, top + 11, "byte", FAINT, size=10, anchor="end")
+        canvas.text(FRONT - 8, top + 11, "byte", Colour.FAINT, size=10, anchor="end")
         for bit in range(8):
-            canvas.text(FRONT + (bit + 0.5) * WIDE, top + 11, str(7 - bit), FAINT, size=10, anchor="middle")
+            canvas.text(
+                FRONT + (bit + 0.5) * WIDE, top + 11, str(7 - bit), Colour.FAINT, size=10, anchor="middle"
+            )
         top += 16
     for place, parts in panel.rows:
-        canvas.text(FRONT - 8, top + HIGH / 2 + 4, place, FAINT, anchor="end")
+        canvas.text(FRONT - 8, top + HIGH / 2 + 4, place, Colour.FAINT, anchor="end")
         left = FRONT
         for columns, text in parts:
             width = (columns + 1) / (BIT + 1) * WIDE if columns != ROW else 8 * WIDE
             canvas.box(left, top, width, HIGH, _fill(text, fills))
             if text:
-                size = 12.0 if text_width(text, 12) < width - 8 else 10.0
-                shown = fitted(_short(text, width - 6, size), width - 6, size)
+                size = 12.0 if Canvas.text_width(text, 12) < width - 8 else 10.0
+                shown = Canvas.fitted(_short(text, width - 6, size), width - 6, size)
                 canvas.text(
-                    left + width / 2, top + HIGH / 2 + 4, shown, INK, size=size, anchor="middle", tip=text
+                    left + width / 2,
+                    top + HIGH / 2 + 4,
+                    shown,
+                    Colour.INK,
+                    size=size,
+                    anchor="middle",
+                    tip=text,
                 )
             left += width
         top += HIGH
@@ -177,14 +190,14 @@ def _panel(canvas: Canvas, panel: LayoutPanel, top: float, fills: dict[str, str]
 def _short(text: str, width: float, size: float) -> str:
     """Return the name alone of a nested record, where there is no room for its path."""
     inner = text.rpartition(".")[2]
-    return text if text_width(text, size) <= width or not inner or inner[0].isdigit() else inner
+    return text if Canvas.text_width(text, size) <= width or not inner or inner[0].isdigit() else inner
 
 
 def _fill(text: str, fills: dict[str, str]) -> str:
     """Return a field's colour: the same for all its bits and for the pieces of a list."""
     if not text:
-        return PAPER
+        return Colour.PAPER
     if text.startswith(("0x", "sync ", "=", "check: ", "end ", "constant ", "(by ")):
-        return OPEN
+        return Colour.OPEN
     name = text.partition(" ")[0].split(".")[0]
     return fills.setdefault(name, FILLS[len(fills) % len(FILLS)])

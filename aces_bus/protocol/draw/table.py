@@ -26,20 +26,57 @@ class FieldRow:
     names: str = ""
     doc: str = ""
 
+    @staticmethod
+    def table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
+        """Return the fields of a message; `captured` says what captured parts can be."""
+        rows: list[FieldRow] = []
+        for path in p.walk(plan.fields, is_long):
+            if path.node.is_leaf or is_long(path.node):
+                doc = path.doc
+                if path.whens:
+                    when = path.whens[-1]
+                    only = f"only while {when.selector.name} is {listed(when.values)}"
+                    doc = f"{only}; {doc}" if doc else only
+                rows.append(_field_row(path.path, path.node, doc, captured or {}))
+            rows += [_inner_row(inner) for inner in path.node.inside(path)]
+        return rows
 
-def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
-    """Return the fields of a message; `captured` says what captured parts can be."""
-    rows: list[FieldRow] = []
-    for path in p.walk(plan.fields, is_long):
-        if path.node.is_leaf or is_long(path.node):
-            doc = path.doc
-            if path.whens:
-                when = path.whens[-1]
-                only = f"only while {when.selector.name} is {listed(when.values)}"
-                doc = f"{only}; {doc}" if doc else only
-            rows.append(_field_row(path.path, path.node, doc, captured or {}))
-        rows += [_inner_row(inner) for inner in path.node.inside(path)]
-    return rows
+    @staticmethod
+    def of(name: str, node: p.Node, doc: str = "") -> FieldRow:
+        """Return the line of a single value, such as a register's."""
+        return _field_row(name, node, doc, {})
+
+    @staticmethod
+    def captured(message: Message) -> dict[str, str]:
+        """Return the values of the captured parts of identifier and head."""
+        captures = list(message.identifier.captures)
+        for head in message.heads_written:
+            captures += head.pattern.captures if head.pattern is not None else ()
+        return {capture.name: describe_values(capture.values) for capture in captures}
+
+    @staticmethod
+    def bits_place(bits: Sequence[int]) -> str:
+        """Return a place in words: `byte 2…5`, `byte 1 bits 7…4 + byte 2`."""
+        by_byte: dict[int, list[int]] = {}
+        for bit in sorted(bits):
+            by_byte.setdefault(bit // 8, []).append(bit % 8)
+        parts: list[str] = []
+        whole: list[int] = []
+        for byte, inside in by_byte.items():
+            if len(inside) == 8:
+                if whole and whole[-1] == byte - 1:
+                    whole.append(byte)
+                    parts[-1] = f"byte {whole[0]}…{byte}"
+                else:
+                    whole = [byte]
+                    parts.append(f"byte {byte}")
+                continue
+            if inside == list(range(inside[0], inside[-1] + 1)):
+                text = f"bits {inside[-1]}…{inside[0]}" if len(inside) > 1 else f"bit {inside[0]}"
+            else:
+                text = f"bits {', '.join(map(str, reversed(inside)))}"
+            parts.append(f"byte {byte} {text}")
+        return " + ".join(parts)
 
 
 def _inner_row(leaf: p.NodePath) -> FieldRow:
@@ -49,19 +86,6 @@ def _inner_row(leaf: p.NodePath) -> FieldRow:
     if leaf.kind is not None:
         where.append(f"{'in' if where else 'of'} tag {leaf.kind.number}")
     return replace(row, place=" ".join([row.place, *where]))
-
-
-def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
-    """Return the line of a single value, such as a register's."""
-    return _field_row(name, node, doc, {})
-
-
-def captured_values(message: Message) -> dict[str, str]:
-    """Return the values of the captured parts of identifier and head."""
-    captures = list(message.identifier.captures)
-    for head in message.heads_written:
-        captures += head.pattern.captures if head.pattern is not None else ()
-    return {capture.name: describe_values(capture.values) for capture in captures}
 
 
 def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -> FieldRow:
@@ -77,7 +101,7 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
         case p.Scalar():
             return _scalar_row(name, node, doc)
         case p.FromIdentifier():
-            place = bits_place(node.place)
+            place = FieldRow.bits_place(node.place)
             if node.number is None:
                 last = node.shift + node.width - 1
                 place = "identifier" if node.is_alone else f"identifier {last}…{node.shift}"
@@ -135,7 +159,7 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
     if node.kind == "float":
         return FieldRow(
             name,
-            bits_place(node.bits) if node.bits else f"byte {range_text(node.offset, node.size)}",
+            FieldRow.bits_place(node.bits) if node.bits else f"byte {range_text(node.offset, node.size)}",
             f"float{len(node.bits) or 8 * node.size}{_order_of(node)}",
             node.unit,
             scale,
@@ -158,7 +182,7 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
             if isinstance(step, p.Scale):
                 edges = [edge * step.scale + step.offset for edge in edges]
         span = f"{_short(min(edges))}…{_short(max(edges))}"
-    return FieldRow(name, bits_place(node.bits), kind, node.unit, scale, offset, span, names, doc)
+    return FieldRow(name, FieldRow.bits_place(node.bits), kind, node.unit, scale, offset, span, names, doc)
 
 
 def _order_of(node: p.Scalar) -> str:
@@ -172,30 +196,6 @@ def _order_of(node: p.Scalar) -> str:
     if node.bits == whole_bits(node.offset, node.size or 0, "big"):
         return " be"
     return ""
-
-
-def bits_place(bits: Sequence[int]) -> str:
-    """Return a place in words: `byte 2…5`, `byte 1 bits 7…4 + byte 2`."""
-    by_byte: dict[int, list[int]] = {}
-    for bit in sorted(bits):
-        by_byte.setdefault(bit // 8, []).append(bit % 8)
-    parts: list[str] = []
-    whole: list[int] = []
-    for byte, inside in by_byte.items():
-        if len(inside) == 8:
-            if whole and whole[-1] == byte - 1:
-                whole.append(byte)
-                parts[-1] = f"byte {whole[0]}…{byte}"
-            else:
-                whole = [byte]
-                parts.append(f"byte {byte}")
-            continue
-        if inside == list(range(inside[0], inside[-1] + 1)):
-            text = f"bits {inside[-1]}…{inside[0]}" if len(inside) > 1 else f"bit {inside[0]}"
-        else:
-            text = f"bits {', '.join(map(str, reversed(inside)))}"
-        parts.append(f"byte {byte} {text}")
-    return " + ".join(parts)
 
 
 def _scaling(node: p.Node) -> tuple[str, str, str]:

@@ -23,7 +23,7 @@ from ..generate.scan import Choice, choose
 from ..plan import nodes as p
 from ..plan.flatten import fixed_leaves
 from .import_statements import KEYWORDS
-from .problems import Loss, clean_text
+from .problems import Loss, ProblemText
 
 #: Identifiers of a message that become one message each.
 EXPANDED = 256
@@ -164,11 +164,11 @@ def _lengths(messages: Sequence[Message]) -> tuple[int, ...]:
 
 
 def _said(message: Message, *, is_named: bool) -> str:
-    facts = [clean_text(message.doc)]
+    facts = [ProblemText.clean(message.doc)]
     if message.reply_to:
         facts.append(f"Answers {', '.join(map(str, message.reply_to))}.")
     if message.source:
-        facts.append(f"({clean_text(message.source)})")
+        facts.append(f"({ProblemText.clean(message.source)})")
     text = " ".join(filter(None, facts))
     return f"{message.name}: {text}" if is_named else text
 
@@ -378,7 +378,7 @@ class _Group:
                 )
                 return
             owner.is_selector, when = True, (selector, values)
-        base = DbcSignal("", 0, 0, comment=clean_text(leaf.doc), when=when)
+        base = DbcSignal("", 0, 0, comment=ProblemText.clean(leaf.doc), when=when)
         before = len(self.found)
         match node:
             case p.Scalar():
@@ -406,7 +406,7 @@ class _Group:
         base.names = {raw + constant: text for raw, text in node.value_names.items()}
         if (scale := node.scale) is not None:
             base.scale, base.offset = scale.scale, scale.offset - constant * scale.scale
-        base.unit = clean_text(node.unit)
+        base.unit = ProblemText.clean(node.unit)
         self._place(leaf.identifier, part, base)
 
     def _scalar(self, leaf: p.NodePath, node: p.Scalar, base: DbcSignal, name: str, is_shared: bool) -> None:
@@ -444,7 +444,7 @@ class _Group:
         else:
             base.is_signed, base.is_float = node.kind == "int", node.kind == "float"
             base.names = {} if base.is_float else node.value_names
-            base.unit = clean_text(node.unit)
+            base.unit = ProblemText.clean(node.unit)
             if scale is not None:
                 self._scaled(leaf, scale, base, name)
             if node.by_bit is not None:

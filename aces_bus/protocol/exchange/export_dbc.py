@@ -15,7 +15,7 @@ from ...errors import CallerError
 from ..declare.protocol import Variant
 from .dbc_signals import EXPANDED, DbcSignal, Identified, identified
 from .import_build import LENGTHS
-from .problems import Loss, clean_text
+from .problems import Loss, ProblemText
 
 #: The attribute VFrameFormat: by (29 bits, CAN FD), and of a J1939 parameter group.
 _FORMATS = [
@@ -129,5 +129,5 @@ def _signal(signal: DbcSignal, message: Identified) -> Any:
 
 def _text(text: str, *, is_short: bool = False) -> str:
     """Return a text as a string of a DBC: `is_short` on one line and without quotes (units, names of values)."""
-    text = re.sub(r'\\+(?="|$)', "/", clean_text(text))
+    text = re.sub(r'\\+(?="|$)', "/", ProblemText.clean(text))
     return " ".join(text.replace('"', "'").replace("\\", "/").split()) if is_short else text

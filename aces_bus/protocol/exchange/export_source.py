@@ -26,8 +26,8 @@ from ..declare.message import Message
 from ..declare.pattern import IdField, IdPattern
 from ..declare.transport import Transport
 from ..protocol import Protocol
-from .names import TAKEN_BY_CODE, unused
-from .problems import ImportProblem, one_line
+from .names import PythonNames
+from .problems import ImportProblem, ProblemText
 
 #: construct's plain numbers by what they are.
 _PLAIN = {
@@ -56,11 +56,11 @@ class _Printer:
         #: Words that the source imports, from construct and from aces_bus.protocol.
         self.words: dict[str, set[str]] = {"construct": set(), "aces_bus.protocol": {"Protocol"}}
         #: Names that the source must not give to anything of its own; what captures are called.
-        self.taken: set[str] = {*TAKEN_BY_CODE, *dir(c), *_OURS}
+        self.taken: set[str] = {*PythonNames.TAKEN_BY_CODE, *dir(c), *_OURS}
         self.captures: dict[Call, str] = {}
 
     def module(self, problems: Sequence[ImportProblem], origin: str) -> str:
-        own = unused(self.protocol.name, self.taken)
+        own = PythonNames.unused(self.protocol.name, self.taken)
         body = [
             line
             for message in self.protocol.declared
@@ -69,7 +69,7 @@ class _Printer:
         head = [f'"""Made by `aces spec import` from {origin}: yours to edit from here on."""', ""]
         if problems:
             head += ["# What is not in it, or differently:"]
-            head += [f"#   {one_line(str(problem))}" for problem in problems]
+            head += [f"#   {ProblemText.one_line(str(problem))}" for problem in problems]
             head += [""]
         head += ["from __future__ import annotations", ""]
         for module in ("construct", "aces_bus.protocol"):
@@ -170,7 +170,7 @@ class _Printer:
             self._word("IdField"), (python_literal(capture.name), python_literal(values)), tuple(keywords)
         )
         if made not in self.captures:
-            self.captures[made] = unused(capture.name.capitalize(), self.taken)
+            self.captures[made] = PythonNames.unused(capture.name.capitalize(), self.taken)
         return self.captures[made]
 
     # ------------------------------------------------------------------ payloads

@@ -17,7 +17,7 @@ import construct as c
 from ...errors import SpecError
 from ..declare.fields import number_runs
 from ..declare.message import Message
-from ..draw.table import row_of
+from ..draw.table import FieldRow
 from ..generate.source import NameScope, SourceText
 from ..plan import nodes as p
 from ..plan.flatten import NotFlat, scalar_of
@@ -290,7 +290,7 @@ def _alternatives(kind: str) -> list[str]:
 def _field_doc(field: p.PlanField) -> str:
     if field.node.is_record:
         return field.doc
-    row = row_of(field.name, field.node)
+    row = FieldRow.of(field.name, field.node)
     parts = [" ".join(filter(None, [row.range, row.unit]))] if row.unit else []
     if field.when is not None:
         selector, values = field.when.selector.name, field.when.values

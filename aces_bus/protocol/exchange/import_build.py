@@ -40,8 +40,8 @@ from ..declare.j1939 import J1939Transport
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..protocol import Protocol
-from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportProblem, clean_text, without_place
+from .names import PythonNames
+from .problems import ImportProblem, ProblemText
 
 #: The field of the bytes behind the declared ones.
 TRAILING = "trailing"
@@ -86,9 +86,9 @@ class _Builder:
     def __init__(self, database: Any, name: str, path: str, lines: Lines) -> None:
         self.database, self.path, self.lines = database, path, lines
         self.problems: list[ImportProblem] = []
-        self.taken = set(TAKEN_BY_CODE)
+        self.taken = set(PythonNames.TAKEN_BY_CODE)
         buses = [bus for bus in database.buses if bus.baudrate]
-        version = f"version {clean_text(database.version)}" if database.version else ""
+        version = f"version {ProblemText.clean(database.version)}" if database.version else ""
         self.protocol = Protocol(
             name,
             link="can",
@@ -114,7 +114,8 @@ class _Builder:
             line = self.lines(message, None)
             same = last[_key(message)]
             if same is not message:
-                text = f"message {clean_text(message.name)} has the identifier of {clean_text(same.name)} further down"
+                name, other = ProblemText.clean(message.name), ProblemText.clean(same.name)
+                text = f"message {name} has the identifier of {other} further down"
                 self.problems.append(ImportProblem(line, f"{text}: left out"))
                 continue
             try:
@@ -132,8 +133,10 @@ class _Builder:
                 self._leave_out(message, line, str(left))
             except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
                 # A database that contradicts itself in a way that cantools lets pass.
-                said = f"message {clean_text(str(message.name))}: it cannot be used ({clean_text(str(error))}): left out"
-                self.problems.append(ImportProblem(line, said))
+                name, why = ProblemText.clean(str(message.name)), ProblemText.clean(str(error))
+                self.problems.append(
+                    ImportProblem(line, f"message {name}: it cannot be used ({why}): left out")
+                )
         return self.protocol, self.problems
 
     def _without_carriers(self, found: Sequence[_Taken]) -> list[_Taken]:
@@ -153,7 +156,9 @@ class _Builder:
         return [taken for taken in found if id(taken) not in own]
 
     def _leave_out(self, message: Any, line: int, reason: str) -> None:
-        self.problems.append(ImportProblem(line, f"message {clean_text(message.name)}: {reason}: left out"))
+        self.problems.append(
+            ImportProblem(line, f"message {ProblemText.clean(message.name)}: {reason}: left out")
+        )
 
     def _note(self, line: int, text: str) -> None:
         self.problems.append(ImportProblem(line, text, is_note=True))
@@ -172,7 +177,7 @@ class _Builder:
         if size > longest:
             what = "a packet of J1939" if is_j1939 else "a frame"
             raise _LeftOut(f"{size} bytes are more than {what} has")
-        name = unused(message.name, self.taken)
+        name = PythonNames.unused(message.name, self.taken)
         fd = not is_j1939 and (bool(message.is_fd) or size > 8)
         transport = CARRIER if is_j1939 and size > 8 else None
         return _Taken(
@@ -196,7 +201,7 @@ class _Builder:
             for taken, pattern in zip(some, _patterns_of([taken.message for taken in some]), strict=True):
                 taken.identifier = pattern
             if len(some) > 1:
-                names = ", ".join(clean_text(taken.message.name) for taken in some)
+                names = ", ".join(ProblemText.clean(taken.message.name) for taken in some)
                 text = f"messages of one parameter group ({group >> 8:05X}h): {names}: distinguished by source address"
                 self._note(some[0].line, text)
 
@@ -204,15 +209,15 @@ class _Builder:
         message, name = taken.message, taken.name
         self._declare(taken, name, message.signals, message.length)
         if name != message.name:
-            self._note(taken.line, f"message {clean_text(message.name)} is called {name} here")
+            self._note(taken.line, f"message {ProblemText.clean(message.name)} is called {name} here")
         shorter = [n for n in _lengths_of(message) if n < message.length]
         for size in shorter:
             known = len(self.problems)
-            short = unused(f"{message.name}_{size}", self.taken)
+            short = PythonNames.unused(f"{message.name}_{size}", self.taken)
             self._declare(taken, short, _fitting(message.signals, size), size)
             del self.problems[known:]  # said of the whole message
         if shorter:
-            text = f"message {clean_text(message.name)} has shorter frames, too, which are messages of their own here"
+            text = f"message {ProblemText.clean(message.name)} has shorter frames, too, which are messages of their own here"
             self._note(taken.line, f"{text} ({', '.join(f'{name}_{size}' for size in shorter)})")
 
     def _declare(self, taken: _Taken, name: str, signals: Sequence[Any], size: int) -> None:
@@ -224,7 +229,7 @@ class _Builder:
         longest = 64 if fd else taken.transport.max_size if taken.transport is not None else 8
         most = longest if lengths is None or len(lengths) > 1 else size
         captured = (capture.name for capture in taken.identifier.captures)
-        names = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured}
+        names = {"reserved", TRAILING, *PythonNames.TAKEN_BY_RECORDS, *captured}
         layout = self._layout(message, signals, size, most, names)
         try:
             made = self.protocol.message(
@@ -241,7 +246,7 @@ class _Builder:
             )
         except AcesError as error:
             del self.problems[known:]
-            raise _LeftOut(without_place(error)) from None
+            raise _LeftOut(ProblemText.of_error(error)) from None
         made.place = SourceLine(self.path, taken.line or 1)
 
     def _layout(
@@ -262,27 +267,29 @@ class _Builder:
                 if signal.multiplexer_signal is not None:
                     field = self._multiplexed(signal, field, by_name, names)
             except (_LeftOut, AcesError) as reason:
-                shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
-                self.problems.append(ImportProblem(line, f"{shown}: {without_place(reason)}: left out"))
+                shown = f"signal {ProblemText.clean(message.name)}.{ProblemText.clean(signal.name)}"
+                self.problems.append(
+                    ImportProblem(line, f"{shown}: {ProblemText.of_error(reason)}: left out")
+                )
                 continue
-            name = unused(signal.name, taken)
+            name = PythonNames.unused(signal.name, taken)
             if by_name[signal.name] is signal:
                 names[signal.name] = name
             if name != signal.name:
-                shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
+                shown = f"signal {ProblemText.clean(message.name)}.{ProblemText.clean(signal.name)}"
                 self._note(line, f"{shown} is called {name} here")
             mask = _mask(signal, at)
             overlapping = overlapping or bool(mask & masks)
             masks |= mask
-            fields.append(c.Renamed(field, newname=name, newdocs=clean_text(signal.comment or "")))
+            fields.append(c.Renamed(field, newname=name, newdocs=ProblemText.clean(signal.comment or "")))
         trailing = TRAILING if size < most else ""
         if overlapping:
             # Most share bits only with what excludes them.
             try:
                 return BitLayout(size, *fields, trailing=trailing)
             except AcesError as error:
-                text = re.sub(r" \([^()]*:\d+\)", "", without_place(error).partition("; if that")[0])
-                text = f"message {clean_text(message.name)}: {text}: all are decoded, and what is sent must agree"
+                text = re.sub(r" \([^()]*:\d+\)", "", ProblemText.of_error(error).partition("; if that")[0])
+                text = f"message {ProblemText.clean(message.name)}: {text}: all are decoded, and what is sent must agree"
                 self._note(self.lines(message, None), text)
         return BitLayout(size, *fields, overlapping=overlapping, trailing=trailing)
 
@@ -295,14 +302,14 @@ class _Builder:
     ) -> Multiplexed:
         selector = by_name.get(signal.multiplexer_signal)
         if selector is None or signal.multiplexer_signal not in names:
-            raise _LeftOut(f"its multiplexer {clean_text(signal.multiplexer_signal)} is not there")
+            raise _LeftOut(f"its multiplexer {ProblemText.clean(signal.multiplexer_signal)} is not there")
         if not selector.is_multiplexer:
-            raise _LeftOut(f"its multiplexer {clean_text(selector.name)} is not declared as one")
+            raise _LeftOut(f"its multiplexer {ProblemText.clean(selector.name)} is not declared as one")
         if not signal.multiplexer_ids:
-            raise _LeftOut(f"no value of its multiplexer {clean_text(selector.name)} is given")
+            raise _LeftOut(f"no value of its multiplexer {ProblemText.clean(selector.name)} is given")
         when = _raw_values(selector, signal.multiplexer_ids)
         if not when:
-            raise _LeftOut(f"its multiplexer {clean_text(selector.name)} never has the value it wants")
+            raise _LeftOut(f"its multiplexer {ProblemText.clean(selector.name)} never has the value it wants")
         return Multiplexed(names[selector.name], when, field)
 
 
@@ -374,8 +381,8 @@ def _doc_of(message: Any) -> str:
         facts.append(f"to {', '.join(receivers)}")
     if message.cycle_time:
         facts.append(f"every {message.cycle_time} ms")
-    said = clean_text(message.comment or "")
-    return clean_text("\n".join(filter(None, [said, "; ".join(facts)])))
+    said = ProblemText.clean(message.comment or "")
+    return ProblemText.clean("\n".join(filter(None, [said, "; ".join(facts)])))
 
 
 # ---------------------------------------------------------------------- signals
@@ -474,7 +481,7 @@ def _value(signal: Any, at: int) -> c.Construct:
     if float(scale).is_integer() and float(offset).is_integer():
         if not conversion.is_float or (scale == 1 and offset == 0):
             scale, offset = int(scale), int(offset)
-    unit = clean_text(signal.unit or "")
+    unit = ProblemText.clean(signal.unit or "")
     if choices and scale == 1 and not offset and not unit:
         return Enumeration(place, choices)
     span = _range(signal)

@@ -27,8 +27,8 @@ from .import_statements import (
     split_statements,
     usable,
 )
-from .names import unused
-from .problems import ImportedProtocol, ImportProblem, excerpt, quiet
+from .names import PythonNames
+from .problems import ImportedProtocol, ImportProblem, ProblemText, quiet
 
 #: Bytes of the largest file that is read.
 MOST_BYTES = 64 * 1024 * 1024
@@ -77,7 +77,7 @@ def _load(path: str, kind: str) -> ImportedProtocol:
 def protocol_name(path: str) -> str:
     """Return what the protocol of a file is called: the file's name without its suffix, as a Python name."""
     name = os.path.basename(path)
-    return unused(name.rpartition(".")[0] or name, set())
+    return PythonNames.unused(name.rpartition(".")[0] or name, set())
 
 
 def read_text(path: str, kind: str) -> str:
@@ -168,7 +168,7 @@ def _reason(error: BaseException) -> str:
     if marked:
         near = marked[1].strip().split(" ")[0]
         text = f"cannot be read at {near!r}" if near else "ends too soon"
-    return excerpt(text) or type(cause).__name__
+    return ProblemText.excerpt(text) or type(cause).__name__
 
 
 def _check_count(path: str, messages: int, signals: int) -> None:

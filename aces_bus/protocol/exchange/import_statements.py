@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from .problems import ImportProblem, clean_text, excerpt
+from .problems import ImportProblem, ProblemText
 
 #: Words that begin a statement, at a line's start.
 # fmt: off
@@ -70,7 +70,7 @@ class Statement(msgspec.Struct):
             1 <= line <= len(lines) and 1 <= column <= len(lines[line - 1]) + 1 and lines[line - 1].strip()
         ):
             line, column = 1, len(lines[0]) - len(lines[0].lstrip()) + 1
-        return ImportProblem(self.line + line - 1, reason, excerpt(self.text), column=column)
+        return ImportProblem(self.line + line - 1, reason, ProblemText.excerpt(self.text), column=column)
 
 
 def split_statements(text: str) -> list[Statement]:
@@ -200,7 +200,7 @@ def _widened(statements: list[Statement]) -> list[ImportProblem]:
     return [
         ImportProblem(
             head.line,
-            f"message {clean_text(name)}: identifier {number:X}h has more than 11 bits: taken for one of 29 bits,"
+            f"message {ProblemText.clean(name)}: identifier {number:X}h has more than 11 bits: taken for one of 29 bits,"
             " though bit 31 does not say so",
             is_note=True,
         )

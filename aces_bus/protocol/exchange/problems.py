@@ -38,7 +38,9 @@ class ImportProblem(msgspec.Struct, frozen=True, order=True):
     @property
     def _said(self) -> str:
         # A name in it may have line ends: the problem stays one line.
-        return one_line(self.reason) + (f" ({one_line(self.excerpt)})" if self.excerpt else "")
+        return ProblemText.one_line(self.reason) + (
+            f" ({ProblemText.one_line(self.excerpt)})" if self.excerpt else ""
+        )
 
 
 class Loss(msgspec.Struct, frozen=True):
@@ -50,7 +52,7 @@ class Loss(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         where = ".".join(filter(None, (self.message, self.field)))
-        return one_line(f"{where}: {self.reason}" if where else self.reason)
+        return ProblemText.one_line(f"{where}: {self.reason}" if where else self.reason)
 
 
 class ImportedProtocol(msgspec.Struct, frozen=True):
@@ -98,26 +100,30 @@ def quiet(library: str) -> Generator[None, None, None]:
         logger.setLevel(before)
 
 
-def without_place(error: Exception) -> str:
-    """Return a complaint without the `file:line: ` of the program that declared it."""
-    text = str(error)
-    head, separator, rest = text.partition(": ")
-    return rest if separator and head.rpartition(":")[2].isdigit() else text
+class ProblemText:
+    """Texts of other files and libraries, as a problem shows them."""
 
+    @staticmethod
+    def of_error(error: Exception) -> str:
+        """Return a complaint without the `file:line: ` of the program that declared it."""
+        text = str(error)
+        head, separator, rest = text.partition(": ")
+        return rest if separator and head.rpartition(":")[2].isdigit() else text
 
-def excerpt(text: str) -> str:
-    """Return the beginning of a statement, on one line."""
-    flat = " ".join(clean_text(text).split())
-    return flat if len(flat) <= EXCERPT else flat[: EXCERPT - 1] + "…"
+    @staticmethod
+    def excerpt(text: str) -> str:
+        """Return the beginning of a statement, on one line."""
+        flat = " ".join(ProblemText.clean(text).split())
+        return flat if len(flat) <= EXCERPT else flat[: EXCERPT - 1] + "…"
 
+    @staticmethod
+    def clean(text: str) -> str:
+        """Return a text from elsewhere without characters that do not print; lines stay lines."""
+        if text.isprintable():
+            return text.strip()
+        return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
 
-def clean_text(text: str) -> str:
-    """Return a text from elsewhere without characters that do not print; lines stay lines."""
-    if text.isprintable():
-        return text.strip()
-    return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
-
-
-def one_line(text: str) -> str:
-    """Return a text from elsewhere as part of a comment: printable, without line ends."""
-    return clean_text(" ".join(text.split()))
+    @staticmethod
+    def one_line(text: str) -> str:
+        """Return a text from elsewhere as part of a comment: printable, without line ends."""
+        return ProblemText.clean(" ".join(text.split()))

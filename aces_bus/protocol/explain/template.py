@@ -16,6 +16,7 @@ from typing import Any
 from construct import ConstructError
 
 from ...errors import AcesError
+from ..declare.delimited import Delimited
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
@@ -190,6 +191,7 @@ class Template:
         """Return to which field between separators the last byte belongs, and the field that it completes."""
         split, payload = self.plan.split, self.message.payload
         assert split is not None
+        assert isinstance(payload, Delimited)
         texts = prefix[split.start :].split(split.separator)
         index = len(texts) - 1 - split.lead
         names = [field.name for field in payload.fields]
@@ -227,7 +229,7 @@ class Template:
         for constant in self.plan.constants:
             filled[constant.offset] |= constant.value
         filled[: len(data)] = data
-        values = self.message.struct.look(bytes(filled), len(filled) - self.plan.tail)
+        values: Any = self.message.struct.look(bytes(filled), len(filled) - self.plan.tail)
         found: list[tuple[str, Any, str]] = []
         for leaf in ended:
             with suppress(LookupError):

@@ -32,14 +32,16 @@ from collections.abc import Iterator
 from ..protocol import Protocol
 from .examples import check_examples
 from .fields import check_fields
-from .finding import Finding, sort_key
+from .finding import Finding
 from .framings import check_framings
 from .templates import check_templates
 
 
 def check_protocol(protocol: Protocol) -> list[Finding]:
     """Return all findings of one protocol, by file and line, but those that comments allow."""
-    return sorted((finding for finding in every_finding(protocol) if not finding.is_allowed), key=sort_key)
+    return sorted(
+        (finding for finding in every_finding(protocol) if not finding.is_allowed), key=Finding.sort_key
+    )
 
 
 def every_finding(protocol: Protocol) -> Iterator[Finding]:

@@ -27,7 +27,7 @@ from ..declare.message import Message
 from ..declare.normalise import inner_constructs
 from ..declare.pattern import IdField, describe_values
 from ..declare.place import SourceLine
-from ..draw.table import bits_place
+from ..draw.table import FieldRow
 from ..protocol import Protocol
 from .finding import Finding, Level
 
@@ -244,7 +244,7 @@ def _gaps(protocol: Protocol) -> Iterator[Finding]:
                 "note",
                 "gap",
                 place,
-                f"{what}: {bits_place(free)} of its layout belong to no field; they are kept as `reserved`",
+                f"{what}: {FieldRow.bits_place(free)} of its layout belong to no field; they are kept as `reserved`",
                 message.name,
             )
 

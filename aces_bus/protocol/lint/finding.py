@@ -11,12 +11,11 @@ from __future__ import annotations
 import linecache
 import re
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from ..declare.place import SourceLine
 
 Level = Literal["error", "warning", "note"]
-LEVELS: tuple[Level, ...] = ("error", "warning", "note")
 _ALLOWED = re.compile(r"#\s*aces:\s*allow\s+(?P<rules>[\w, -]+)")
 
 
@@ -68,7 +67,15 @@ class Finding:
             "others": [str(place) for place in self.others],
         }
 
+    LEVELS: ClassVar[tuple[Level, ...]] = ("error", "warning", "note")
 
-def sort_key(finding: Finding) -> tuple[Any, ...]:
-    """Return what sorts by file and line, worse ones first."""
-    return finding.place.file, finding.place.line, LEVELS.index(finding.level), finding.rule, finding.text
+    @staticmethod
+    def sort_key(finding: Finding) -> tuple[Any, ...]:
+        """Return what sorts by file and line, worse ones first."""
+        return (
+            finding.place.file,
+            finding.place.line,
+            Finding.LEVELS.index(finding.level),
+            finding.rule,
+            finding.text,
+        )

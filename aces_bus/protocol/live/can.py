@@ -344,9 +344,9 @@ class CanScanner:
         """
         if not len(frames):
             return []
-        from ...frame_table import NO_TIME, RX, UNUSUAL
+        from ...frame_table import NO_TIME, FrameFlag
 
-        way = RX.bit_length() - 1
+        way, is_unusual = FrameFlag.RX.bit_length() - 1, FrameFlag.UNUSUAL
         table, error, unusual = self._table, struct.error, self._unusual
         width, length = frames.data.shape[1], frames.length
         raw = frames.data.tobytes()
@@ -363,7 +363,7 @@ class CanScanner:
         rows = zip(frames.time.tolist(), channels, frames.id.tolist(), flags, datas, strict=True)
         for number, (time, channel, key, flag, data) in enumerate(rows):
             record = None
-            if not flag & UNUSUAL:
+            if not flag & is_unusual:
                 seconds = time / 1_000_000_000 if time != NO_TIME else None
                 try:
                     record = table[key](data, key, seconds, channel, data, _WAYS[flag >> way])

@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, Channels, FrameTable, Ints
+from ...frame_table import Channels, FrameFlag, FrameTable, Ints
 from ...frames import FD_LENGTHS
 from ..base import keep_freed_memory
-from ..merge import merge_in_order
+from ..merge import Merge
 from .line import NAME
 
 #: Fewer lines of one layout cost more here than line by line.
@@ -112,7 +112,11 @@ _HEX = np.full(256, 0xFF, np.uint8)
 for _digit in b"0123456789ABCDEFabcdef":
     _HEX[_digit] = int(chr(_digit), 16)
 _FD_FLAGS = np.array(
-    [FD | (flags & 1) * BITRATE_SWITCH | (flags >> 1 & 1) * ERROR_STATE for flags in range(256)], np.uint8
+    [
+        FrameFlag.FD | (flags & 1) * FrameFlag.BITRATE_SWITCH | (flags >> 1 & 1) * FrameFlag.ERROR_STATE
+        for flags in range(256)
+    ],
+    np.uint8,
 )
 _FD_LENGTH = np.isin(np.arange(65), FD_LENGTHS)
 
@@ -251,7 +255,7 @@ class CandumpColumns:
         self._layouts = sorted(counts, key=lambda layout: -counts[layout])[:_LAYOUTS]
         if not found:
             return usual, FrameTable.empty(self._channels)
-        return usual, merge_in_order(lines, [places for places, _ in found], [table for _, table in found])
+        return usual, Merge.in_order(lines, [places for places, _ in found], [table for _, table in found])
 
     def _table(
         self, layout: _Layout, window: _Window, sizes: Ints, ways: Ints
@@ -273,7 +277,7 @@ class CandumpColumns:
         bad |= ids > (0x1FFF_FFFF if layout.wide else 0x7FF)
         rows = _data(raw, count, words, 64 if layout.fd else 8)
         length = (digits >> 1).astype(np.uint8)
-        flags = ways | np.uint8(EXTENDED) if layout.wide else ways
+        flags = ways | np.uint8(FrameFlag.EXTENDED) if layout.wide else ways
         if layout.fd:
             bad |= window.byte(layout.hash_at + 1) != _HASH
             bad |= ~_FD_LENGTH[length]
@@ -346,7 +350,7 @@ def _tails(buffer: Ints, ends: Ints, sizes: Ints) -> tuple[Ints, Ints]:
     blank = buffer[ends - 2] == _BLANK
     received &= blank
     sent &= blank
-    ways = received * np.uint8(RX) | sent * np.uint8(TX)
+    ways = received * np.uint8(FrameFlag.RX) | sent * np.uint8(FrameFlag.TX)
     return sizes - (received | sent) * np.uint16(2), ways
 
 

@@ -19,11 +19,11 @@ from binascii import Error, a2b_base64
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_table import EXTENDED, FrameTable
+from ...frame_table import FrameFlag, FrameTable
 from ...frames import Frame
 from ..base import printable_start
 from ..beginnings import PYTHON_CAN_CSV
-from .rows import FrameRow, LineCapture, UnreadableRow, check_remote, decimal_ns, integer
+from .rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 Mask = npt.NDArray[np.bool_]
 
@@ -52,14 +52,14 @@ class CanlogCsvCapture(LineCapture):
             extended, remote, error = (_FLAG[mark] for mark in marks)
         except KeyError as wrong:
             raise UnreadableRow(f"{printable_start(wrong.args[0])!r} is neither 0 nor 1") from None
-        size = integer(length, 10, "length")
-        check_remote(remote, error, size)
+        size = RowText.integer(length, 10, "length")
+        RowText.check_remote(remote, error, size)
         data = b"" if remote else _decoded(coded)
         if not remote and len(data) != size:
             raise UnreadableRow(f"{size} bytes are announced, {len(data)} are there")
         return FrameRow(
             Frame(
-                integer(digits, 16, "identifier"),
+                RowText.integer(digits, 16, "identifier"),
                 data,
                 None,
                 None,
@@ -69,7 +69,7 @@ class CanlogCsvCapture(LineCapture):
                 len(data) > 8,
                 dlc=size if remote else None,
             ),
-            decimal_ns(time),
+            RowText.nanoseconds(time),
         )
 
     def _quick(self, block: bytes) -> tuple[Mask, FrameTable]:
@@ -90,7 +90,7 @@ class CanlogCsvCapture(LineCapture):
             np.array(time, np.int64),
             np.full(len(data), self.channels.number(None), np.uint16),
             identifier,
-            extended * np.uint8(EXTENDED),
+            extended * np.uint8(FrameFlag.EXTENDED),
             length,
             np.frombuffer(b"".join([some.ljust(8, b"\0")[:8] for some in data]), np.uint8).reshape(-1, 8),
             self.channels,

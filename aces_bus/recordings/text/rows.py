@@ -27,7 +27,7 @@ from ...errors import CallerError, CaptureError
 from ...frame_table import NO_TIME, FrameTable, joined_tables
 from ...frames import Frame
 from ..base import REMOTE_AND_ERROR, CanRecording, printable_start
-from ..merge import merge_in_order
+from ..merge import Merge
 from ..source import MAX_LINE
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class LineCapture(CanRecording):
         table = table.take(slice(0, len(common)))
         if rows:
             odd = np.array(places, np.int64)
-            table = merge_in_order(end, [common, odd], [table, self._table(rows)])
+            table = Merge.in_order(end, [common, odd], [table, self._table(rows)])
         if len(table):
             tables.append(table)
         turns: list[bytes] = []
@@ -250,16 +250,84 @@ class LineCapture(CanRecording):
 # ---- numbers in a line ---------------------------------------------------------------------------------------------
 
 
-def decimal_ns(text: bytes, unit: int = 1_000_000_000) -> int:
-    """Return a decimal number of units of so many nanoseconds, exact to the last digit. Raises `UnreadableRow`.
+class RowText:
+    """Cells of a row as values; what is none raises `UnreadableRow`."""
 
-    >>> decimal_ns(b"1.25"), decimal_ns(b"-17.5", 1_000_000), decimal_ns(b"1e-06")
-    (1250000000, -17500000, 1000)
-    """
-    whole, _, fraction = text.partition(b".")
-    if whole.isdigit() and len(whole) <= 18 and (fraction.isdigit() or not fraction) and len(fraction) <= 18:
-        return round_half_even(int(whole + fraction) * unit, 10 ** len(fraction))
-    return _any_number(text, unit)
+    #: Starts of recordings lie within ±2^62 ns of 1970 (until 2116), so that start and offset fit 64 bits together.
+    MAX_ORIGIN = 1 << 62
+    CLASSIC_LENGTHS: ClassVar[dict[int, int]] = {code: min(code, 8) for code in range(16)}
+    FD_LENGTHS_BY_CODE: ClassVar[dict[int, int]] = dict(
+        enumerate((0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64))
+    )
+
+    @staticmethod
+    def nanoseconds(text: bytes, unit: int = 1_000_000_000) -> int:
+        """Return a decimal number of units of so many nanoseconds, exact to the last digit. Raises `UnreadableRow`.
+
+        >>> ns = RowText.nanoseconds
+        >>> ns(b"1.25"), ns(b"-17.5", 1_000_000), ns(b"1e-06")
+        (1250000000, -17500000, 1000)
+        """
+        whole, _, fraction = text.partition(b".")
+        if (
+            whole.isdigit()
+            and len(whole) <= 18
+            and (fraction.isdigit() or not fraction)
+            and len(fraction) <= 18
+        ):
+            return round_half_even(int(whole + fraction) * unit, 10 ** len(fraction))
+        return _any_number(text, unit)
+
+    @staticmethod
+    def integer(text: bytes, base: int, what: str) -> int:
+        """Parse digits of a base, without sign. Raises `UnreadableRow`."""
+        digits = text
+        if base == 16 and text[:2] in (b"0x", b"0X"):
+            digits = text[2:]
+        if not digits.isalnum() or len(digits) > 16:
+            raise UnreadableRow(f"{what} {printable_start(text)!r} is not a {_BASES[base]} number")
+        try:
+            return int(digits, base)
+        except ValueError:
+            raise UnreadableRow(f"{what} {printable_start(text)!r} is not a {_BASES[base]} number") from None
+
+    @staticmethod
+    def data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
+        """Parse `size` bytes of cells with a number each; raise `UnreadableRow` when there are fewer, or one is
+        not a byte.
+        """
+        there = next((place for place, cell in enumerate(cells) if not cell), len(cells))
+        if there < size:
+            raise UnreadableRow(f"{size} bytes are announced, {there} are there")
+        out = bytearray()
+        for cell in cells[:size]:
+            value = RowText.integer(cell, base, "byte")
+            if value > 255:
+                raise UnreadableRow(f"byte {printable_start(cell)} is more than 255")
+            out.append(value)
+        return bytes(out)
+
+    @staticmethod
+    def is_received(text: bytes) -> bool:
+        """Return which way Rx and Tx are, in whatever case. Raises `UnreadableRow`."""
+        if (found := _WAYS.get(text.lower())) is None:
+            raise UnreadableRow(f"direction {printable_start(text)!r} is neither Rx nor Tx")
+        return found
+
+    @staticmethod
+    def check_remote(is_remote: bool, is_error: bool, size: int) -> None:
+        """Raise `UnreadableRow` for a remote frame that cannot exist."""
+        if is_remote and is_error:
+            raise UnreadableRow(REMOTE_AND_ERROR)
+        if is_remote and size > 8:
+            raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
+
+    @staticmethod
+    def one_less(number: int) -> str | None:
+        """Return the name of a channel that a file counts from 1: ours count from 0. None for a channel 0, which there is
+        not.
+        """
+        return str(number - 1) if number > 0 else None
 
 
 def round_half_even(number: int, scale: int) -> int:
@@ -280,64 +348,7 @@ def _any_number(text: bytes, unit: int) -> int:
     return int((Decimal(text.decode()) * unit).to_integral_value())
 
 
-def integer(text: bytes, base: int, what: str) -> int:
-    """Parse digits of a base, without sign. Raises `UnreadableRow`."""
-    digits = text
-    if base == 16 and text[:2] in (b"0x", b"0X"):
-        digits = text[2:]
-    if not digits.isalnum() or len(digits) > 16:
-        raise UnreadableRow(f"{what} {printable_start(text)!r} is not a {_BASES[base]} number")
-    try:
-        return int(digits, base)
-    except ValueError:
-        raise UnreadableRow(f"{what} {printable_start(text)!r} is not a {_BASES[base]} number") from None
-
-
 _BASES = {10: "decimal", 16: "hexadecimal"}
 
 
-def hex_data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
-    """Parse `size` bytes of cells with a number each; raise `UnreadableRow` when there are fewer, or one is
-    not a byte.
-    """
-    there = next((place for place, cell in enumerate(cells) if not cell), len(cells))
-    if there < size:
-        raise UnreadableRow(f"{size} bytes are announced, {there} are there")
-    out = bytearray()
-    for cell in cells[:size]:
-        value = integer(cell, base, "byte")
-        if value > 255:
-            raise UnreadableRow(f"byte {printable_start(cell)} is more than 255")
-        out.append(value)
-    return bytes(out)
-
-
 _WAYS = {b"rx": True, b"tx": False}
-
-
-def is_received(text: bytes) -> bool:
-    """Return which way Rx and Tx are, in whatever case. Raises `UnreadableRow`."""
-    if (found := _WAYS.get(text.lower())) is None:
-        raise UnreadableRow(f"direction {printable_start(text)!r} is neither Rx nor Tx")
-    return found
-
-
-def check_remote(is_remote: bool, is_error: bool, size: int) -> None:
-    """Raise `UnreadableRow` for a remote frame that cannot exist."""
-    if is_remote and is_error:
-        raise UnreadableRow(REMOTE_AND_ERROR)
-    if is_remote and size > 8:
-        raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
-
-
-def one_less(number: int) -> str | None:
-    """Return the name of a channel that a file counts from 1: ours count from 0. None for a channel 0, which there is
-    not.
-    """
-    return str(number - 1) if number > 0 else None
-
-
-#: Starts of recordings lie within ±2^62 ns of 1970 (until 2116), so that start and offset fit 64 bits together.
-MAX_ORIGIN = 1 << 62
-CLASSIC_LENGTHS = {code: min(code, 8) for code in range(16)}
-FD_LENGTHS_BY_CODE = dict(enumerate((0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)))

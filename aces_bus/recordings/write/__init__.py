@@ -33,7 +33,7 @@ from typing import Any, BinaryIO, Self, cast
 
 from ..._lazy import np
 from ...errors import CallerError, UnknownNameError
-from ...frame_table import ERROR, EXTENDED, FrameTable
+from ...frame_table import FrameFlag, FrameTable
 from ...plugins import installed_items
 from ..base import Chunk, Link
 from ._file import OutFile
@@ -179,7 +179,12 @@ class OpenWriter:
     def write(self, item: FrameTable | Chunk) -> None:
         """Write a table of frames, or a chunk of a serial line."""
         if isinstance(item, FrameTable) and not self._writer.keeps_error_width:
-            self._wide_errors += int(np.count_nonzero(item.flags & (ERROR | EXTENDED) == ERROR | EXTENDED))
+            self._wide_errors += int(
+                np.count_nonzero(
+                    item.flags & (FrameFlag.ERROR | FrameFlag.EXTENDED)
+                    == FrameFlag.ERROR | FrameFlag.EXTENDED
+                )
+            )
         with self._file.checked():
             self._writer.write(item)
 

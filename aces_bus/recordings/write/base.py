@@ -16,19 +16,7 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    FD,
-    NO_TIME,
-    REMOTE,
-    RX,
-    TX,
-    Channels,
-    FrameTable,
-    Ints,
-)
+from ...frame_table import NO_TIME, Channels, FrameFlag, FrameTable, Ints
 from ...frames import FD_LENGTHS
 from .text import blocks
 
@@ -94,12 +82,15 @@ class FrameWriter(RecordingWriter, ABC):
     def lose_fd(self, table: FrameTable) -> None:
         """Count what is lost of CAN FD where a frame is known as one by its more than 8 bytes alone."""
         flags = table.flags
-        is_hidden = (flags & FD != 0) & (table.length <= 8)
-        self.lose("CAN FD flags", np.count_nonzero(is_hidden | (flags & (BITRATE_SWITCH | ERROR_STATE) != 0)))
+        is_hidden = (flags & FrameFlag.FD != 0) & (table.length <= 8)
+        self.lose(
+            "CAN FD flags",
+            np.count_nonzero(is_hidden | (flags & (FrameFlag.BITRATE_SWITCH | FrameFlag.ERROR_STATE) != 0)),
+        )
 
     def _remote_lengths(self, table: FrameTable) -> Ints:
         """Return the lengths, for remote frames at most 8; what is more is counted."""
-        over = (table.flags & REMOTE != 0) & (table.length > 8)
+        over = (table.flags & FrameFlag.REMOTE != 0) & (table.length > 8)
         if not over.any():
             return table.length
         self.lose("lengths above 8 that remote frames ask for", np.count_nonzero(over))
@@ -150,10 +141,15 @@ class StartedWriter(FrameWriter):
             return
         offsets = self._times(table)
         self._begin_once()
-        is_error, has_way = table.flags & ERROR != 0, table.flags & (RX | TX) != 0
+        is_error, has_way = (
+            table.flags & FrameFlag.ERROR != 0,
+            table.flags & (FrameFlag.RX | FrameFlag.TX) != 0,
+        )
         self.lose("unknown directions (written as received)", np.count_nonzero(~(is_error | has_way)))
         self.lose("directions of error frames", np.count_nonzero(is_error & has_way))
-        self.lose("CAN FD flags of error frames", np.count_nonzero(is_error & (table.flags & FD != 0)))
+        self.lose(
+            "CAN FD flags of error frames", np.count_nonzero(is_error & (table.flags & FrameFlag.FD != 0))
+        )
         self._count(table, offsets)
         for rows in blocks(len(table)):
             self._offsets = offsets[rows]
@@ -170,7 +166,7 @@ class StartedWriter(FrameWriter):
 
     def _error_classes(self, table: FrameTable) -> None:
         """Count error frames that say more than that there was one."""
-        more = (table.flags & ERROR != 0) & ((table.id != 0) | (table.length != 0))
+        more = (table.flags & FrameFlag.ERROR != 0) & ((table.id != 0) | (table.length != 0))
         self.lose("classes and data of error frames", np.count_nonzero(more))
 
     def _times(self, table: FrameTable) -> Ints:
@@ -190,8 +186,8 @@ class StartedWriter(FrameWriter):
 
 def rows_by_kind(table: FrameTable) -> tuple[Ints, Ints, Ints]:
     """Return the rows of classic frames, of CAN FD frames and of error frames."""
-    is_error = table.flags & ERROR != 0
-    is_fd = (table.flags & FD != 0) & ~is_error
+    is_error = table.flags & FrameFlag.ERROR != 0
+    is_fd = (table.flags & FrameFlag.FD != 0) & ~is_error
     return np.flatnonzero(~(is_fd | is_error)), np.flatnonzero(is_fd), np.flatnonzero(is_error)
 
 

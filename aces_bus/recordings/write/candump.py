@@ -13,14 +13,14 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, FrameTable
+from ...frame_table import FrameFlag, FrameTable
 from .base import FrameWriter, WrittenChannels
-from .text import Column, choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
+from .text import Column, ColumnText
 
 _ERROR_BIT = np.uint32(0x2000_0000)
-_WAYS = choices([b"", b" R", b" T", b" R"])
-_FD_MARKS = choices([b"", b"#0", b"#1", b"#2", b"#3"])
-_REMOTES = choices([b"", b"R", *(b"R%d" % n for n in range(1, 9))])
+_WAYS = ColumnText.choices([b"", b" R", b" T", b" R"])
+_FD_MARKS = ColumnText.choices([b"", b"#0", b"#1", b"#2", b"#3"])
+_REMOTES = ColumnText.choices([b"", b"R", *(b"R%d" % n for n in range(1, 9))])
 
 
 class CandumpWriter(FrameWriter):
@@ -36,16 +36,16 @@ class CandumpWriter(FrameWriter):
         n, flags, channel = len(table), table.flags, table.channel
         names = self._names.row(table.channels, int(channel.max()))
         seconds, nanoseconds = np.divmod(self._epoch_times(table), 1_000_000_000)
-        fraction = decimal_text(nanoseconds, 9)
+        fraction = ColumnText.decimal(nanoseconds, 9)
         whole = nanoseconds % 1000 == 0
         if whole.all():
             fraction = fraction[:, :6]
         elif whole.any():
             fraction = fraction.copy()
             fraction[whole, 6:] = 0
-        is_error = (flags & ERROR).astype(bool)
-        wide = (flags & (EXTENDED | ERROR)).astype(bool)
-        digits = hexadecimal_text(np.where(is_error, table.id | _ERROR_BIT, table.id))
+        is_error = (flags & FrameFlag.ERROR).astype(bool)
+        wide = (flags & (FrameFlag.EXTENDED | FrameFlag.ERROR)).astype(bool)
+        digits = ColumnText.hexadecimal(np.where(is_error, table.id | _ERROR_BIT, table.id))
         if not wide.any():
             digits = digits[:, 5:]
         elif not wide.all():
@@ -53,25 +53,25 @@ class CandumpWriter(FrameWriter):
             digits[~wide, :5] = 0
         columns: list[Column | bytes] = [
             b"(",
-            decimal_text(seconds, 10),
+            ColumnText.decimal(seconds, 10),
             b".",
             fraction,
             b") ",
-            choices([name.encode("utf-8", "backslashreplace") for name in names])[channel],
+            ColumnText.choices([name.encode("utf-8", "backslashreplace") for name in names])[channel],
             b" ",
             digits,
             b"#",
         ]
-        if (flags & FD).any():
-            mark = 1 + (flags & BITRATE_SWITCH != 0) + 2 * (flags & ERROR_STATE != 0)
-            columns.append(_FD_MARKS[np.where(flags & FD != 0, mark, 0)])
-        data = padded_data(table)
-        remote = (flags & REMOTE).astype(bool)
+        if (flags & FrameFlag.FD).any():
+            mark = 1 + (flags & FrameFlag.BITRATE_SWITCH != 0) + 2 * (flags & FrameFlag.ERROR_STATE != 0)
+            columns.append(_FD_MARKS[np.where(flags & FrameFlag.FD != 0, mark, 0)])
+        data = ColumnText.data(table)
+        remote = (flags & FrameFlag.REMOTE).astype(bool)
         if remote.any():
             columns.append(_REMOTES[np.where(remote, self._remote_lengths(table) + 1, 0)])
-            data = only(data, ~remote)
+            data = ColumnText.only(data, ~remote)
         columns.append(data)
-        if (flags & (RX | TX)).any():
-            columns.append(_WAYS[flags // RX & 3])
+        if (flags & (FrameFlag.RX | FrameFlag.TX)).any():
+            columns.append(_WAYS[flags // FrameFlag.RX & 3])
         columns.append(b"\n")
-        return join_columns(columns, n)
+        return ColumnText.join(columns, n)

@@ -25,17 +25,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ...errors import CallerError
-from ...frame_table import ERROR, EXTENDED, REMOTE, RX, TX, FrameTable, ns_of
+from ...frame_table import FrameFlag, FrameTable, ns_of
 from ..beginnings import PYTHON_CAN_CSV
 from ..sqlite import COLUMNS
 from .base import FrameWriter
-
-#: SQL that makes the table, and that adds a row.
-CREATE = (
-    "CREATE TABLE messages (ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER,"
-    " dlc INTEGER, data BLOB)"
-)
-INSERT = f"INSERT INTO messages VALUES ({', '.join('?' * len(COLUMNS))})"
 
 
 class _CanlogWriter(FrameWriter):
@@ -53,12 +46,15 @@ class _CanlogWriter(FrameWriter):
             if name is not None and name not in self._names:
                 self._names.add(name)
                 self.lose("channel names")
-        self.lose("directions", np.count_nonzero(flags & (RX | TX)))
+        self.lose("directions", np.count_nonzero(flags & (FrameFlag.RX | FrameFlag.TX)))
         self.lose_fd(table)
         data = table.data.tobytes()
         width = table.data.shape[1]
-        marks = ((flags & mark != 0).astype(np.uint8).tolist() for mark in (EXTENDED, REMOTE, ERROR))
-        sizes = np.where(flags & REMOTE, 0, length).tolist()
+        marks = (
+            (flags & mark != 0).astype(np.uint8).tolist()
+            for mark in (FrameFlag.EXTENDED, FrameFlag.REMOTE, FrameFlag.ERROR)
+        )
+        sizes = np.where(flags & FrameFlag.REMOTE, 0, length).tolist()
         cells = (data[at : at + size] for at, size in zip(range(0, len(data), width), sizes, strict=True))
         return zip(table.id.tolist(), *marks, length.tolist(), cells, strict=True)
 
@@ -110,13 +106,15 @@ class CanlogSqliteWriter(_CanlogWriter):
         folder = tempfile.mkdtemp()
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         base = sqlite3.connect(os.path.join(folder, "log"), isolation_level=None, check_same_thread=False)
-        base.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN;" + CREATE)
+        base.executescript(
+            "PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN;" + CanlogSqliteWriter.CREATE
+        )
         return folder, base
 
     def write(self, table: FrameTable) -> None:
         """Write the frames, in order."""
         with self._telling():
-            self._base[1].executemany(INSERT, self.rows(table))
+            self._base[1].executemany(CanlogSqliteWriter.INSERT, self.rows(table))
 
     def _encoded(self, table: FrameTable) -> bytes:
         raise NotImplementedError
@@ -129,3 +127,10 @@ class CanlogSqliteWriter(_CanlogWriter):
             base.close()
         with open(os.path.join(folder, "log"), "rb") as made:
             shutil.copyfileobj(made, self._file, 1 << 20)
+
+    #: SQL that makes the table, and that adds a row.
+    CREATE = (
+        "CREATE TABLE messages (ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER,"
+        " dlc INTEGER, data BLOB)"
+    )
+    INSERT = f"INSERT INTO messages VALUES ({', '.join('?' * len(COLUMNS))})"

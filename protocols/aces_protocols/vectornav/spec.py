@@ -212,7 +212,9 @@ GROUPS: dict[str, dict[int, Renamed]] = {
 
 def _fields() -> list[Construct]:
     """Return all masks, then all fields: those of a group are named after it."""
-    masks = [group / Present("groups", number, Int16ul) for number, group in enumerate(GROUPS)]
+    masks: list[Construct] = [
+        group / Present("groups", number, Int16ul) for number, group in enumerate(GROUPS)
+    ]
     return masks + [
         f"{group}_{field.name}" / Present(group, bit, field.subcon)
         for group, fields in GROUPS.items()

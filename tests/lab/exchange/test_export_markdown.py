@@ -8,7 +8,7 @@ import pytest
 from construct import Byte, Struct
 
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
-from aces_bus.protocol.draw.table import captured_values, field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.plan.flatten import flatten
 from aces_lab.exchange import print_markdown
 from aces_protocols.hubo.spec import hubo
@@ -35,7 +35,7 @@ def test_every_message_and_field_is_there(variant: Variant) -> None:
     for message in variant.messages.values():
         part = re.split(rf"^## {re.escape(message.name).replace('_', '.?_')}$", text, flags=re.MULTILINE)[1]
         part = part.partition("\n## ")[0]
-        for row in field_table(flatten(message), captured_values(message)):
+        for row in FieldRow.table(flatten(message), FieldRow.captured(message)):
             assert f"| `{row.name}` |" in part, (message.name, row.name)
     assert set(re.findall(r"\]\(#([^)]*)\)", text)) <= anchors(text)
     width = 0

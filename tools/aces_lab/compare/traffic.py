@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import KEY_REMOTE, Ints, widened
+from aces_bus.frame_table import Ints, widened
+from aces_bus.frames import REMOTE
 from aces_bus.traffic import FrameCount, IdentifierCounts
 
 
@@ -90,7 +91,7 @@ class TrafficProfile:
 
     def __init__(self, windows: int = 1) -> None:
         self.identifiers = IdentifierCounts(
-            lambda identifier: IdentifierTraffic(windows, has_data=not identifier.key & KEY_REMOTE)
+            lambda identifier: IdentifierTraffic(windows, has_data=not identifier.key & REMOTE)
         )
 
     @property

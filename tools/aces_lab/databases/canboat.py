@@ -50,14 +50,8 @@ from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.exchange.import_build import TRAILING
 from aces_bus.protocol.exchange.import_dbc import protocol_name, read_text
-from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from aces_bus.protocol.exchange.problems import (
-    ImportedProtocol,
-    ImportProblem,
-    clean_text,
-    one_line,
-    without_place,
-)
+from aces_bus.protocol.exchange.names import PythonNames
+from aces_bus.protocol.exchange.problems import ImportedProtocol, ImportProblem, ProblemText
 
 from .canboat_lists import GroupParameters, KeyedItems, Parameter, camel, field_types
 
@@ -103,7 +97,7 @@ def load_canboat(path: str) -> ImportedProtocol:
     try:
         table: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise CallerError(f"{path}: not JSON that can be read: {one_line(str(error))}") from None
+        raise CallerError(f"{path}: not JSON that can be read: {ProblemText.one_line(str(error))}") from None
     pgns = table.get("PGNs") if isinstance(table, dict) else None
     if not isinstance(pgns, list):
         raise CallerError(f"{path}: not a table of canboat: it has no list PGNs")
@@ -206,7 +200,7 @@ class _Builder:
         self.path, self.pgns = path, pgns
         self.lines = lines if len(lines) == len(pgns) else [0] * len(pgns)
         self.problems: list[ImportProblem] = []
-        self.taken = set(TAKEN_BY_CODE)
+        self.taken = set(PythonNames.TAKEN_BY_CODE)
         #: Names of values that fields have so far.
         self.named = 0
         self.names = _tables(table, "LookupEnumerations", "EnumValues", "Value")
@@ -214,7 +208,7 @@ class _Builder:
         self.field_types = dict(field_types(table))
         #: By PGN the fields of its forms, for functions about it.
         self.parameters: dict[int, list[list[Parameter]]] = {}
-        version = f", version {clean_text(str(table['Version']))[:40]}" if "Version" in table else ""
+        version = f", version {ProblemText.clean(str(table['Version']))[:40]}" if "Version" in table else ""
         self.protocol = Protocol(
             protocol_name(path), link="can", bitrate=BITRATE, doc=f"NMEA 2000{version}", source=path
         )
@@ -233,7 +227,9 @@ class _Builder:
         forms: dict[int, list[_Form]] = {}
         for given, line in zip(self.pgns, self.lines, strict=True):
             label = (
-                one_line(str(given.get("Id") or given.get("PGN")))[:60] if isinstance(given, dict) else "?"
+                ProblemText.one_line(str(given.get("Id") or given.get("PGN")))[:60]
+                if isinstance(given, dict)
+                else "?"
             )
             try:
                 form = self._form(given, line)
@@ -258,7 +254,7 @@ class _Builder:
             made = c.Float32l
         elif size and field.width is not None and field.kind not in _SHAPED:
             made = self.number(field, _integer(size, is_signed=field.is_signed and not field.size % 8))
-        return one_line(field.name)[:60], size, made, field.match
+        return ProblemText.one_line(field.name)[:60], size, made, field.match
 
     def keyed(self, name: str) -> dict[str, tuple[int, int, c.Construct]]:
         """Return what each key of a table has as its value, by name: key, size in bytes, construct."""
@@ -280,7 +276,7 @@ class _Builder:
             given = {**{word: top - n for n, word in enumerate(words)}, **entry}
             field = _Field(camel(str(entry.get("name") or key)), "", kind, width, given, None)
             construct = self.number(field, _integer(width // 8, is_signed=is_signed))
-            found[unused(field.name, set(found))] = key, width // 8, construct
+            found[PythonNames.unused(field.name, set(found))] = key, width // 8, construct
         return found
 
     def _form(self, given: Any, line: int) -> _Form:
@@ -297,7 +293,8 @@ class _Builder:
         kind = given.get("Type")
         if kind not in _TRANSPORTS:
             raise _LeftOut(
-                f"of the type {one_line(str(kind))[:20]}, which is neither one frame nor a fast packet nor of ISO 11783"
+                f"of the type {ProblemText.one_line(str(kind))[:20]},"
+                " which is neither one frame nor a fast packet nor of ISO 11783"
             )
         read = [_field(field) for field in fields]
         if kind == "Fast" and sum(field.size for field in read) > MOST_FAST and read[-1].is_bytes:
@@ -309,14 +306,14 @@ class _Builder:
         """Declare the forms of a PGN, the one with more fixed values first where a packet may be either."""
         declared: list[tuple[int, str]] = []
         for form in sorted(forms, key=lambda form: form.fixed):
-            name, known = unused(form.id, self.taken), len(self.problems)
+            name, known = PythonNames.unused(form.id, self.taken), len(self.problems)
             overrides = tuple(entry for fixed, entry in declared if fixed < form.fixed)
             try:
                 made = self._declare(form, name, overrides)
             except (_LeftOut, AcesError) as reason:
                 del self.problems[known:]
-                said = re.sub(r" \([^()]*:\d+\)", "", without_place(reason)).partition("; say what")[0]
-                said = f"PGN {one_line(form.id)[:60]}: {said}"
+                said = re.sub(r" \([^()]*:\d+\)", "", ProblemText.of_error(reason)).partition("; say what")[0]
+                said = f"PGN {ProblemText.one_line(form.id)[:60]}: {said}"
                 cut = _cut(form)
                 try:
                     if cut is None:
@@ -326,16 +323,18 @@ class _Builder:
                     del self.problems[known:]
                     self._problem(form.line, f"{said}: left out")
                     continue
-                rest = one_line(form.fields[len(cut.fields)].name)[:60]
+                rest = ProblemText.one_line(form.fields[len(cut.fields)].name)[:60]
                 self._problem(form.line, f"{said}: bytes from {rest} on are in {TRAILING}", is_note=True)
             made.place = SourceLine(self.path, form.line or 1)
             declared.append((form.fixed, name))
             if name != form.id:
-                self._problem(form.line, f"PGN {one_line(form.id)[:60]} is called {name} here", is_note=True)
+                self._problem(
+                    form.line, f"PGN {ProblemText.one_line(form.id)[:60]} is called {name} here", is_note=True
+                )
 
     def _declare(self, form: _Form, name: str, overrides: tuple[str, ...]) -> Message:
         prefix, match, payload = _Shape(self, form).made()
-        facts = [clean_text(str(form.given.get(key) or "")) for key in ("Description", "Explanation")]
+        facts = [ProblemText.clean(str(form.given.get(key) or "")) for key in ("Description", "Explanation")]
         return self.protocol.message(
             name,
             id=_identifier(form.pgn),
@@ -352,7 +351,7 @@ class _Builder:
     def number(self, field: _Field, place: c.Construct) -> c.Construct:
         """Return what a number in these bits means."""
         get = field.given.get
-        unit = clean_text(str(get("Unit") or ""))
+        unit = ProblemText.clean(str(get("Unit") or ""))
         unit = _UNITS.get(unit, unit)
         if field.kind == "FLOAT":
             return Quantity(place, unit=unit) if unit else place
@@ -387,7 +386,14 @@ class _Shape:
         self.builder, self.form = builder, form
         self.places = {field: place for place, field in enumerate(form.fields)}
         self.counts: dict[int, Any] = {}
-        self.taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, "priority", "source", "destination"}
+        self.taken = {
+            "reserved",
+            TRAILING,
+            *PythonNames.TAKEN_BY_RECORDS,
+            "priority",
+            "source",
+            "destination",
+        }
         #: The list at the end whose items say their own kind.
         self.own: c.Construct | None = None
         for field in form.fields:
@@ -455,14 +461,15 @@ class _Shape:
         return c.Struct(*prefix) if prefix else None, match, self._payload(cells[heads:])
 
     def _name(self, field: _Field) -> str:
-        made = unused(field.name, self.taken)
+        made = PythonNames.unused(field.name, self.taken)
         if made != field.name and not field.is_padding:
-            said = f"field {one_line(self.form.id)[:60]}.{one_line(field.name)[:60]} is called {made} here"
+            form, name = ProblemText.one_line(self.form.id)[:60], ProblemText.one_line(field.name)[:60]
+            said = f"field {form}.{name} is called {made} here"
             self.builder.problems.append(ImportProblem(self.form.line, said, is_note=True))
         return made
 
     def _named(self, field: _Field, construct: c.Construct) -> c.Construct:
-        return c.Renamed(construct, newname=self._name(field), newdocs=clean_text(field.text))
+        return c.Renamed(construct, newname=self._name(field), newdocs=ProblemText.clean(field.text))
 
     # ------------------------------------------------------------------ what fixed values are in
 
@@ -479,15 +486,19 @@ class _Shape:
         for field in cell:
             if field.match is not None:
                 if not 0 <= field.match < 1 << field.size:
-                    raise _LeftOut(f"{one_line(field.name)[:60]} is never {field.match}")
+                    raise _LeftOut(f"{ProblemText.one_line(field.name)[:60]} is never {field.match}")
                 pattern = pattern + (field.match << shift)
             elif field.size > 8:
-                raise _LeftOut(f"{one_line(field.name)[:60]} has {field.size} bits beside a fixed value")
+                raise _LeftOut(
+                    f"{ProblemText.one_line(field.name)[:60]} has {field.size} bits beside a fixed value"
+                )
             else:
                 values = range(1 << field.size)
-                pattern = pattern + (IdField(self._name(field), values, doc=clean_text(field.text)) << shift)
+                pattern = pattern + (
+                    IdField(self._name(field), values, doc=ProblemText.clean(field.text)) << shift
+                )
             shift += field.size
-        name = self._name(cell[0]) if cell[0].match is not None else unused("head", self.taken)
+        name = self._name(cell[0]) if cell[0].match is not None else PythonNames.unused("head", self.taken)
         match[name] = pattern
         return c.Renamed(_integer(size, is_signed=False), newname=name)
 
@@ -507,7 +518,7 @@ class _Shape:
             made.append(self._list(self.form.fields[start : start + length], count))
         is_open = self.groups[-1][2] is None if self.groups else bool(fields) and _is_open_end(fields[-1])
         if self.own is not None:
-            made.append(unused("list", self.taken) / self.own)
+            made.append(PythonNames.unused("list", self.taken) / self.own)
             is_open = True
         if has_room and not is_open:
             made.append(TRAILING / c.Default(c.GreedyBytes, b"") * "bytes behind the known fields")
@@ -537,7 +548,7 @@ class _Shape:
     def _struct(self, cells: Sequence[Sequence[_Field]], taken: set[str] | None = None) -> list[c.Construct]:
         """Return fields one behind the other; `taken` are the names of a record of their own."""
         if taken is not None:
-            outer, self.taken = self.taken, {*taken, *TAKEN_BY_RECORDS}
+            outer, self.taken = self.taken, {*taken, *PythonNames.TAKEN_BY_RECORDS}
             found = self._struct(cells)
             self.taken = outer
             return found
@@ -545,7 +556,7 @@ class _Shape:
         for is_bits, some in groupby(cells, lambda cell: len(cell) > 1):
             fields = [field for cell in some for field in cell]
             if is_bits:
-                name = unused("bits", self.taken)
+                name = PythonNames.unused("bits", self.taken)
                 made.append(c.Renamed(self._layout(fields, path=c.this[name]), newname=name))
             else:
                 made += map(self._whole, fields)
@@ -569,7 +580,9 @@ class _Shape:
         if field.width is None and field is self.form.fields[-1] and not self.groups:
             return Text() if field.kind == "STRING_FIX" else c.GreedyBytes
         if field.width is None:
-            raise _LeftOut(f"{one_line(field.name)[:60]} has a length that its own bytes do not say")
+            raise _LeftOut(
+                f"{ProblemText.one_line(field.name)[:60]} has a length that its own bytes do not say"
+            )
         size = field.width // 8
         if field.is_padding:
             return c.Default(c.Bytes(size), b"\xff" * size)
@@ -583,7 +596,7 @@ class _Shape:
     def _list(self, fields: Sequence[_Field], count: int | None) -> c.Construct:
         """Return a list of groups; without a count it takes all bytes that there are."""
         cells = list(_cells(fields))
-        outer, self.taken = self.taken, set(TAKEN_BY_RECORDS)
+        outer, self.taken = self.taken, set(PythonNames.TAKEN_BY_RECORDS)
         is_plain = all(field.width is not None and not _is_in_bytes(field) for field in fields)
         group: c.Construct
         group = (
@@ -597,7 +610,7 @@ class _Shape:
             raise _LeftOut("a list whose count is not before it")
         if count is not None and (width := self.form.fields[count].width):
             asked %= (1 << width) - 1  # all ones: not known, and no item
-        name = unused("list", self.taken)
+        name = PythonNames.unused("list", self.taken)
         return c.Renamed(c.GreedyRange(group) if count is None else c.Array(asked, group), newname=name)
 
 
@@ -696,7 +709,7 @@ def _field(given: Any) -> _Field:
     kind = str(given.get("FieldType"))
     width = None if given.get("BitLengthVariable") or kind in _STRINGS else _whole(given.get("BitLength"))
     if kind not in _NUMBERS | _PADDING | _STRINGS | _SHAPED.keys() | _OTHERS:
-        raise _LeftOut(f"a field of the type {one_line(kind)[:30]}")
+        raise _LeftOut(f"a field of the type {ProblemText.one_line(kind)[:30]}")
     if width is not None and not 0 < width <= MOST_BITS:
         raise _LeftOut(f"a field of {width} bits")
     if kind == "FLOAT" and width != 32:
@@ -715,7 +728,7 @@ def _tables(table: Mapping[str, Any], key: str, values: str, number: str) -> dic
         seen: set[int] = set()
         for entry in (listed.get(values) if isinstance(listed, dict) else None) or ():
             value = _whole(entry.get(number)) if isinstance(entry, dict) else None
-            name = clean_text(str(entry.get("Name") or "")) if value is not None else ""
+            name = ProblemText.clean(str(entry.get("Name") or "")) if value is not None else ""
             if value is not None and name and value not in seen:
                 seen.add(value)
                 names[name if name not in names else f"{name} {value}"] = value

@@ -23,15 +23,8 @@ from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.exchange.import_build import TRAILING
 from aces_bus.protocol.exchange.import_dbc import protocol_name, read_text
-from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from aces_bus.protocol.exchange.problems import (
-    ImportedProtocol,
-    ImportProblem,
-    clean_text,
-    excerpt,
-    quiet,
-    without_place,
-)
+from aces_bus.protocol.exchange.names import PythonNames
+from aces_bus.protocol.exchange.problems import ImportedProtocol, ImportProblem, ProblemText, quiet
 
 #: PDOs of a device (CiA 301, 7.5.1), and the identifiers of the first four where the file gives none (7.3.5).
 MOST_PDOS = 512
@@ -89,7 +82,9 @@ def _sections(text: str) -> tuple[list[_Section], list[ImportProblem]]:
             current = _Section(name, number)
             if name.lower() in found:
                 problems.append(
-                    ImportProblem(number, "a section that is there already: left out", excerpt(bare))
+                    ImportProblem(
+                        number, "a section that is there already: left out", ProblemText.excerpt(bare)
+                    )
                 )
             else:
                 found[name.lower()] = current
@@ -98,7 +93,9 @@ def _sections(text: str) -> tuple[list[_Section], list[ImportProblem]]:
         key = key.strip()
         if current is None or not separator or not key or key in keys:
             problems.append(
-                ImportProblem(number, "not of the form key=value, or there twice: left out", excerpt(bare))
+                ImportProblem(
+                    number, "not of the form key=value, or there twice: left out", ProblemText.excerpt(bare)
+                )
             )
             continue
         keys.add(key)
@@ -107,7 +104,9 @@ def _sections(text: str) -> tuple[list[_Section], list[ImportProblem]]:
         ):
             problems.append(
                 ImportProblem(
-                    number, f"an object has at most {MOST_ENTRIES} entries: left out", excerpt(bare)
+                    number,
+                    f"an object has at most {MOST_ENTRIES} entries: left out",
+                    ProblemText.excerpt(bare),
                 )
             )
             value = "0"
@@ -158,7 +157,7 @@ def _attempt(sections: Sequence[_Section]) -> tuple[Any | None, str]:
     try:
         return _read(sections), ""
     except Exception as error:  # whatever a parser of a damaged file may raise
-        return None, excerpt(str(error))
+        return None, ProblemText.excerpt(str(error))
 
 
 def _read(sections: Sequence[_Section]) -> Any:
@@ -186,7 +185,7 @@ class _Builder:
         self.dictionary, self.path, self.lines = dictionary, path, lines
         self.node: int | None = dictionary.node_id or None
         self.problems: list[ImportProblem] = []
-        self.taken = set(TAKEN_BY_CODE)
+        self.taken = set(PythonNames.TAKEN_BY_CODE)
         self.protocol = Protocol(
             protocol_name(path),
             link="can",
@@ -249,7 +248,7 @@ class _Builder:
     ) -> None:
         try:
             made = self.protocol.message(
-                unused(name, self.taken),
+                PythonNames.unused(name, self.taken),
                 id=identifier,
                 payload=payload,
                 direction=direction,
@@ -257,7 +256,9 @@ class _Builder:
                 **more,
             )
         except AcesError as error:
-            self.problems.append(ImportProblem(self.line(index), f"{name}: {without_place(error)}: left out"))
+            self.problems.append(
+                ImportProblem(self.line(index), f"{name}: {ProblemText.of_error(error)}: left out")
+            )
             return
         made.place = SourceLine(self.path, self.line(index) or 1)
 
@@ -313,7 +314,7 @@ class _Builder:
 
     def _mapped(self, name: str, mapping: int) -> BitLayout:
         fields: list[c.Construct] = []
-        taken = {"reserved", "node", TRAILING, *TAKEN_BY_RECORDS}
+        taken = {"reserved", "node", TRAILING, *PythonNames.TAKEN_BY_RECORDS}
         at = 0
         for sub in range(1, min(self._number(mapping, 0) or 0, 64) + 1):
             word = self._number(mapping, sub)
@@ -335,11 +336,11 @@ class _Builder:
         if one is None:
             reason = f"{pdo}: object {index:04X}h/{sub} is not described: an unsigned number here"
             self.problems.append(ImportProblem(self.line(index), reason, is_note=True))
-            return c.Renamed(bits(width, at), newname=unused(f"x{index:04X}_{sub}", taken))
+            return c.Renamed(bits(width, at), newname=PythonNames.unused(f"x{index:04X}_{sub}", taken))
         parent: Any = getattr(one, "parent", None)
-        text = clean_text(one.name)
+        text = ProblemText.clean(one.name)
         if getattr(parent, "subindices", None) is not None:
-            text = f"{clean_text(parent.name)} {text}"
+            text = f"{ProblemText.clean(parent.name)} {text}"
         place: c.Construct
         place = (
             float_bits(width, at)
@@ -352,11 +353,13 @@ class _Builder:
         span = None
         if isinstance(one.min, int) and isinstance(one.max, int) and one.min <= one.max:
             span = one.min, one.max
-        unit = clean_text(getattr(one, "unit", "") or "")
+        unit = ProblemText.clean(getattr(one, "unit", "") or "")
         if names:
             place = Enumeration(place, names)
         elif scale != 1 or unit or span is not None:
             place = Quantity(place, unit=unit, scale=scale or 1, raw_range=span)
         doc = f"object {index:04X}h/{sub}"
-        said = clean_text(getattr(one, "description", "") or "")
-        return c.Renamed(place, newname=unused(text, taken), newdocs=f"{said} ({doc})" if said else doc)
+        said = ProblemText.clean(getattr(one, "description", "") or "")
+        return c.Renamed(
+            place, newname=PythonNames.unused(text, taken), newdocs=f"{said} ({doc})" if said else doc
+        )

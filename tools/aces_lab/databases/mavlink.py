@@ -27,8 +27,8 @@ from aces_bus.protocol.declare.fields import wire_number
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.exchange.import_dbc import protocol_name
-from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from aces_bus.protocol.exchange.problems import ImportedProtocol, clean_text, one_line, without_place
+from aces_bus.protocol.exchange.names import PythonNames
+from aces_bus.protocol.exchange.problems import ImportedProtocol, ProblemText
 
 from .mavlink_dialect import MOST_PAYLOAD, MOST_V1, MOST_V2, TYPES, Dialect, DialectField, DialectMessage
 
@@ -136,7 +136,7 @@ class _Builder:
         for framing in self.protocol.framings:
             framing.place = self.protocol.place
         self.heads = {head.name for head in self.v2.heads if head.name}
-        self.taken = set(TAKEN_BY_CODE)
+        self.taken = set(PythonNames.TAKEN_BY_CODE)
         self._values: dict[tuple[str, ...], c.Construct] = {}
 
     def build(self) -> Protocol:
@@ -150,7 +150,7 @@ class _Builder:
                 self._message(message)
                 numbers[message.number] = message.name
             except (_LeftOut, AcesError) as reason:
-                said = f"message {one_line(message.name)[:60]}: {without_place(reason)}: left out"
+                said = f"message {ProblemText.one_line(message.name)[:60]}: {ProblemText.of_error(reason)}: left out"
                 self.dialect.problem(message.file, message.line, said)
         return self.protocol
 
@@ -161,8 +161,8 @@ class _Builder:
             raise _LeftOut(f"{size} bytes of fields, and a packet has {MOST_PAYLOAD}")
         if not 0 <= one.number <= MOST_V2:
             raise _LeftOut(f"{one.number} is not a number of a message")
-        name = unused(one.name, self.taken)
-        names = {*self.heads, TRAILING, *TAKEN_BY_RECORDS}
+        name = PythonNames.unused(one.name, self.taken)
+        names = {*self.heads, TRAILING, *PythonNames.TAKEN_BY_RECORDS}
         made = [self._field(one, each, names) for each in fields]
         trailing = "bytes behind the known fields; of a signed packet the last 13 are its signature"
         behind = TRAILING / c.Default(c.GreedyBytes, b"") * trailing
@@ -179,7 +179,7 @@ class _Builder:
             dialect=dialect,
             check_extra=one.extra(self.crc),
             payload=payload,
-            doc=clean_text("".join(one.text)),
+            doc=ProblemText.clean("".join(one.text)),
             source=f"{one.file or Path(self.dialect.path).name}, {one.number}",
         )
         made.place = SourceLine(
@@ -187,11 +187,13 @@ class _Builder:
         )
 
     def _field(self, message: DialectMessage, one: DialectField, taken: set[str]) -> c.Construct:
-        name = unused(one.name, taken)
+        name = PythonNames.unused(one.name, taken)
         if name != one.name:
             said = f"field {message.name}.{one.name} is called {name} here"
             self.dialect.problem(message.file, one.line, said, is_note=True)
-        return c.Renamed(self._value(message, one), newname=name, newdocs=one_line("".join(one.text)))
+        return c.Renamed(
+            self._value(message, one), newname=name, newdocs=ProblemText.one_line("".join(one.text))
+        )
 
     def _value(self, message: DialectMessage, one: DialectField) -> c.Construct:
         get = one.attributes.get
@@ -233,7 +235,7 @@ class _Builder:
             known = self.dialect.enums.get(enum)
             if known is None or wire.kind == "float":
                 note(
-                    f"its enumeration {one_line(enum)[:60]} "
+                    f"its enumeration {ProblemText.one_line(enum)[:60]} "
                     + ("is not there" if known is None else "names a float")
                 )
             elif known.is_bitmask or display == "bitmask":
@@ -245,16 +247,16 @@ class _Builder:
             else:
                 low, high = wire.limits
                 return Enumeration(number, {name: n for name, n in known.values if low <= n <= high})
-        factor, unit = _UNITS.get(units, (1, clean_text(units)))
+        factor, unit = _UNITS.get(units, (1, ProblemText.clean(units)))
         try:
             scale = float(Fraction(multiplier.strip()) * Fraction(str(factor))) if multiplier else factor
         except (ValueError, ZeroDivisionError):
-            note(f"its multiplier {one_line(multiplier)[:40]!r} is not a number")
+            note(f"its multiplier {ProblemText.one_line(multiplier)[:40]!r} is not a number")
             scale = factor
         try:
             unknown = _invalid(invalid, is_list=bool(one.count), is_float=wire.kind == "float")
         except ValueError:
-            note(f"what it says of invalid values ({one_line(invalid)[:40]}) is only in its text")
+            note(f"what it says of invalid values ({ProblemText.one_line(invalid)[:40]}) is only in its text")
             unknown = ()
         if wire.kind != "float" and any(not wire.limits[0] <= value <= wire.limits[1] for value in unknown):
             unknown = ()

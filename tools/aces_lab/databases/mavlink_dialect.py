@@ -17,7 +17,7 @@ import construct as c
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Crc
-from aces_bus.protocol.exchange.problems import ImportProblem, clean_text, one_line
+from aces_bus.protocol.exchange.problems import ImportProblem, ProblemText
 
 #: Bytes and number of the files that are read, elements inside one another, messages.
 MOST_BYTES, MOST_FILES, MOST_DEPTH, MOST_MESSAGES = 16 * 1024 * 1024, 64, 32, 16_384
@@ -171,7 +171,9 @@ class Dialect:
     def _include(self, path: Path, text: str) -> None:
         other = path.parent / text
         if not text or other.name != text or text in (".", ".."):
-            raise CallerError(f"<include>{one_line(text)[:80]}</include> is not a file beside this one")
+            raise CallerError(
+                f"<include>{ProblemText.one_line(text)[:80]}</include> is not a file beside this one"
+            )
         if other.resolve() in self._seen:
             return
         if len(self._seen) >= MOST_FILES:
@@ -226,7 +228,9 @@ class _FileReader:
         if len(way) > MOST_DEPTH:
             raise _Refused(f"elements in one another, {MOST_DEPTH} deep")
         if len(way) == 1 and name != "mavlink":
-            raise _Refused(f"not a MAVLink dialect: it begins with <{one_line(name)[:40]}>, not <mavlink>")
+            raise _Refused(
+                f"not a MAVLink dialect: it begins with <{ProblemText.one_line(name)[:40]}>, not <mavlink>"
+            )
         begin = _BEGINS.get(tuple(way))
         if begin is not None:
             begin(self, attributes)
@@ -266,8 +270,8 @@ class _FileReader:
         if kind == _VERSION:
             kind, attributes = "uint8_t", {**attributes, "version": "yes"}
         if found is None or kind not in TYPES or re.fullmatch(r"\w+", name, re.ASCII) is None:
-            shown = one_line(attributes.get("type", ""))[:40]
-            message.reason = message.reason or f"field {one_line(name)[:40]!r} of type {shown!r}"
+            shown = ProblemText.one_line(attributes.get("type", ""))[:40]
+            message.reason = message.reason or f"field {ProblemText.one_line(name)[:40]!r} of type {shown!r}"
             return
         count = int(found[2] or 0)
         made = DialectField(name, kind, count, attributes, message.has_extensions, self._line)
@@ -289,9 +293,10 @@ class _FileReader:
             raise _Refused(f"more than {MOST_MESSAGES:,} messages and entries")
         given = attributes.get("value")
         value = None if given is None else dialect_number(given)
-        name = clean_text(attributes.get("name", ""))
+        name = ProblemText.clean(attributes.get("name", ""))
         if not name or (value is None) is not (given is None):
-            said = f"entry {one_line(name)[:40]} has the value {one_line(given or '')[:40]!r}: left out"
+            shown = ProblemText.one_line(given or "")[:40]
+            said = f"entry {ProblemText.one_line(name)[:40]} has the value {shown!r}: left out"
             self.dialect.problem(self.name, self._line, said)
             return
         enum.entries.setdefault(name, value)

@@ -22,14 +22,7 @@ from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.nodes import NodePath
 from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_values, image_frame
-from aces_bus.testing.scenes import (
-    FRAME_DAMAGES,
-    PACKET_DAMAGES,
-    cast,
-    damaged_frame,
-    damaged_packet,
-    garbage,
-)
+from aces_bus.testing.scenes import Cast, Damage
 from aces_bus.testing.source import ChoiceSource
 
 #: A frame, the frames of one packet, or bytes.
@@ -205,7 +198,7 @@ class DevicePackets:
         self.has_fd = self.variant.protocol.has_fd
         if not rules.messages:
             raise CallerError(f"{self.variant.label}: there is no message that may be sent to this device")
-        self._cast = cast(self.variant, "to device")
+        self._cast = Cast.of(self.variant, "to device")
 
     def draw(self, source: ChoiceSource) -> tuple[str, AnyPacket]:
         """Return how it was made, and a packet that may be sent: a frame, frames of a packet, or bytes."""
@@ -256,7 +249,7 @@ class DevicePackets:
 
     def _damaged(self, drawn: DrawnPacket, source: ChoiceSource) -> AnyPacket | None:
         if not self.is_can:
-            return damaged_packet(drawn, source.integer(0, PACKET_DAMAGES - 1), source) or None
+            return Damage.packet(drawn, source.integer(0, Damage.OF_PACKET - 1), source) or None
         packet = self.packet_of(drawn, source)
         if isinstance(packet, tuple):
             at = source.integer(0, len(packet) - 1)
@@ -270,12 +263,12 @@ class DevicePackets:
         return self._damaged_frame(packet, drawn.message, source)
 
     def _damaged_frame(self, frame: Frame, message: Message, source: ChoiceSource) -> Frame | None:
-        made = damaged_frame(frame, message, source.integer(0, FRAME_DAMAGES - 1), source)
+        made = Damage.frame(frame, message, source.integer(0, Damage.OF_FRAME - 1), source)
         return None if made.is_fd and not self.has_fd else made
 
     def _random(self, source: ChoiceSource) -> AnyPacket | None:
         if not self.is_can:
-            return garbage(self._cast, source)
+            return Damage.garbage(self._cast, source)
         drawn = self.valid(source.choice(self.rules.messages), source)
         if drawn is None:
             return None
@@ -345,7 +338,7 @@ def _with(values: Any, way: Sequence[str | int], number: int) -> Any:
         return None
     if inner is None:
         return None
-    made = c.ListContainer(values) if isinstance(step, int) else c.Container(values)
+    made: Any = c.ListContainer(values) if isinstance(step, int) else c.Container(values)
     made[step] = inner
     return made
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Collection, Sequence
 
 from aces_bus.protocol.declare.fields import runs_of_numbers
-from aces_bus.protocol.exchange.names import snake
-from aces_bus.protocol.exchange.problems import one_line
+from aces_bus.protocol.exchange.names import PythonNames
+from aces_bus.protocol.exchange.problems import ProblemText
 
 from .dissector_tables import bit_pieces
 
@@ -28,7 +28,7 @@ class NotInC(Exception):
 
 
 def c_name(text: str, taken: set[str]) -> str:
-    made = snake(text)
+    made = PythonNames.snake(text)
     made = f"n{made}" if made[:1].isdigit() or not made.strip("_") else made
     while made in taken or made in KEYWORDS:
         made += "_"
@@ -63,7 +63,7 @@ def is_among(name: str, values: Collection[int], most: int | None = None) -> str
 
 def comment(text: str) -> str:
     """Return a text as it may stand in a comment, where compilers warn of a mark that begins one."""
-    return one_line(text).replace("*/", "* /").replace("/*", "/ *")
+    return ProblemText.one_line(text).replace("*/", "* /").replace("/*", "/ *")
 
 
 def refuse_if(test: str, depth: int = 1) -> list[str]:

@@ -25,7 +25,7 @@ from aces_bus.protocol.declare.head import Head
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.declare.pattern import IdField
 from aces_bus.protocol.declare.protocol import Variant
-from aces_bus.protocol.exchange.names import snake
+from aces_bus.protocol.exchange.names import PythonNames
 from aces_bus.protocol.exchange.problems import Loss
 from aces_bus.protocol.plan import nodes as p
 
@@ -83,7 +83,7 @@ def print_c_source(variant: Variant, *, only: Collection[str] = (), name: str = 
     """Return the header and source of a variant; `only` names the messages wanted, `name` is that of the header
     without `.h`.
     """
-    return _Printer(variant, only).print(name or snake(variant.name))
+    return _Printer(variant, only).print(name or PythonNames.snake(variant.name))
 
 
 class _Printer:

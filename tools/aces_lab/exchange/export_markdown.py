@@ -17,9 +17,9 @@ from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.declare.pattern import describe_values
 from aces_bus.protocol.declare.protocol import Variant
-from aces_bus.protocol.draw.table import captured_values, field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
-from aces_bus.protocol.exchange.problems import clean_text
+from aces_bus.protocol.exchange.problems import ProblemText
 from aces_bus.protocol.plan import nodes as p
 
 _LINKS = {"can": "CAN", "serial": "serial line", "datagram": "datagrams"}
@@ -135,7 +135,7 @@ class _Page:
                 _escaped(row.range),
                 _escaped(_joined(row.doc, sources.get(row.name.partition(".")[0], ""))),
             )
-            for row in field_table(plan, captured_values(message))
+            for row in FieldRow.table(plan, FieldRow.captured(message))
         ]
         if rows:
             lines += [
@@ -150,7 +150,7 @@ class _Page:
     def _facts(self, message: Message, plan: p.MessagePlan) -> list[str]:
         facts: list[str] = []
         if self.is_can:
-            values = captured_values(message)
+            values = FieldRow.captured(message)
             ranges = [f"`{c.name}` {values[c.name]}" for c in message.identifier.captures]
             kinds = [
                 kind
@@ -250,7 +250,8 @@ def _sources(message: Message) -> dict[str, str]:
     if isinstance(payload, c.Struct):
         items = [(str(item.name), item) for item in payload.subcons if item.name]
     found: dict[str, str] = {}
-    for name, field in items:
+    for name, item in items:
+        field: c.Construct | None = item
         while field is not None:
             if isinstance(field, Quantity) and field.source:
                 found[name] = field.source
@@ -295,7 +296,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 def _escaped(text: str) -> str:
     """Return a text as Markdown that shows it, on one line."""
-    flat = " ".join(clean_text(text).split())
+    flat = " ".join(ProblemText.clean(text).split())
     flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     # What a spec's author writes as `code` stays that.
     parts = re.split(r"(`[\w.:@-]+`)", flat)
@@ -306,7 +307,7 @@ def _escaped(text: str) -> str:
 
 def _code(text: str, *, is_cell: bool = False) -> str:
     """Return a text as code; in a cell of a table a bar is escaped even there."""
-    flat = " ".join(clean_text(text).split()).replace("`", "'")
+    flat = " ".join(ProblemText.clean(text).split()).replace("`", "'")
     flat = flat.replace("|", "\\|") if is_cell else flat
     return f"`{flat}`" if flat else ""
 

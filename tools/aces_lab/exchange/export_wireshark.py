@@ -22,8 +22,8 @@ from aces_bus.protocol.declare.framing import Framing, WideLength
 from aces_bus.protocol.declare.message import Direction, Message, way_of
 from aces_bus.protocol.declare.protocol import Variant
 from aces_bus.protocol.declare.stuffing import Cobs, CutZeros, Insert, Slip
-from aces_bus.protocol.exchange.names import snake, unused
-from aces_bus.protocol.exchange.problems import Loss, one_line
+from aces_bus.protocol.exchange.names import PythonNames
+from aces_bus.protocol.exchange.problems import Loss, ProblemText
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves
 
@@ -86,8 +86,8 @@ class _Printer:
         variant = self.variant
         messages = [self._message(message) for message in self.modes["both"][0]]
         table: dict[str, Any] = {
-            "name": snake(variant.name),
-            "title": one_line(
+            "name": PythonNames.snake(variant.name),
+            "title": ProblemText.one_line(
                 f"{variant.label}: {variant.protocol.doc}" if variant.protocol.doc else variant.label
             ),
             "broadcast": dict(variant.protocol.broadcast),
@@ -107,12 +107,13 @@ class _Printer:
         table["fields"] = self.fields
         table["messages"] = messages
         head = [
-            f"-- {one_line(variant.label)} as a Wireshark dissector, printed by aces-bus from the spec: change that instead."
+            f"-- {ProblemText.one_line(variant.label)} as a Wireshark dissector,"
+            " printed by aces-bus from the spec: change that instead."
         ]
         head += ["-- Put it into the folder of personal Lua plug-ins (Help, About Wireshark, Folders)."]
         if self.losses:
             head += ["--", "-- Not as the scanner has it:"]
-            head += [f"--   {one_line(str(loss))}" for loss in self.losses]
+            head += [f"--   {ProblemText.one_line(str(loss))}" for loss in self.losses]
         text = "\n".join([*head, "", f"local P = {lua_literal(table)}", ""])
         programs = ["dissector.lua", "dissector_can.lua" if self.is_can else "dissector_stream.lua"]
         if self.transports:
@@ -126,7 +127,7 @@ class _Printer:
 
     def _message(self, message: Message) -> dict[str, Any]:
         plan = message.plan
-        own = unused(snake(message.name), self.taken)
+        own = PythonNames.unused(PythonNames.snake(message.name), self.taken)
         table: dict[str, Any] = {"name": message.name}
         if self.is_can:
             table["id"] = id_pattern(message.identifier)
@@ -322,7 +323,7 @@ class _Printer:
             if leaf.node.is_opaque:
                 self._lose(message.name, leaf.path, "part of payload, which is shown as bytes")
                 continue
-            table = self._leaf(leaf, message, plan, f"{own}.{unused(leaf.identifier, taken)}")
+            table = self._leaf(leaf, message, plan, f"{own}.{PythonNames.unused(leaf.identifier, taken)}")
             table["is_outer"] = leaf.path in outer or None
             if leaf.whens:
                 selector, when = leaf.conditions[-1]
@@ -331,11 +332,11 @@ class _Printer:
         if plan.opaque:
             field = p.PlanField("payload", p.Scalar("bytes", rest, None), f"not taken apart: {plan.opaque}")
             (leaf,) = p.walk([field])
-            found.append(self._leaf(leaf, message, plan, f"{own}.{unused('payload', taken)}"))
+            found.append(self._leaf(leaf, message, plan, f"{own}.{PythonNames.unused('payload', taken)}"))
         return found
 
     def _field(self, abbr: str, label: str, kind: str, base: str | None, names: Any, doc: str) -> int:
-        self.fields.append([abbr, label, kind, base, names, one_line(doc) or None])
+        self.fields.append([abbr, label, kind, base, names, ProblemText.one_line(doc) or None])
         return len(self.fields)
 
     def _leaf(self, leaf: p.NodePath, message: Message, plan: p.MessagePlan, abbr: str) -> dict[str, Any]:
@@ -483,11 +484,11 @@ class _Printer:
     ) -> dict[str, Any]:
         """Return the fields of a number: the quantity with the raw number below it, or the raw number alone."""
         scale, names = node.scale, node.value_names
-        more: dict[str, Any] = {"unit": one_line(node.unit)}
+        more: dict[str, Any] = {"unit": ProblemText.one_line(node.unit)}
         if kind != "double" and width > 32:
             more["is_wide"] = True
         is_table = kind != "double" and width <= 32 and all(0 <= value < 1 << 31 for value in names)
-        table = {value: one_line(name) or "?" for value, name in names.items()} if names else None
+        table = {value: ProblemText.one_line(name) or "?" for value, name in names.items()} if names else None
         base = None if kind == "double" else "DEC"
         if scale is not None and (scale.scale != 1 or scale.offset):
             more["field"] = self._field(abbr, leaf.path, "double", None, None, leaf.doc)

@@ -38,21 +38,10 @@ from datetime import datetime
 import numpy as np
 
 from aces_bus import Frame, FrameTable
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX
+from aces_bus.frame_table import FrameFlag
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings.base import printable_start
-from aces_bus.recordings.text.rows import (
-    CLASSIC_LENGTHS,
-    FD_LENGTHS_BY_CODE,
-    MAX_ORIGIN,
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    decimal_ns,
-    hex_data,
-    integer,
-    one_less,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 from .words import Ints, Mask, Word, Words, channel_numbers
 
@@ -124,7 +113,7 @@ class AscCapture(LineCapture):
         timed = _TIMED.fullmatch(text)
         if timed is None:
             raise UnreadableRow("not a line of an ASC log")
-        time = decimal_ns(timed[1])
+        time = RowText.nanoseconds(timed[1])
         if self._is_relative:
             self._clock += time
             time = self._clock
@@ -136,7 +125,7 @@ class AscCapture(LineCapture):
         if found := _FD_LINE.fullmatch(text):
             return self._fd(found, time)
         if found := _ERROR_FRAME.match(text):
-            return FrameRow(Frame(0, channel=one_less(int(found[1])), is_error_frame=True), time)
+            return FrameRow(Frame(0, channel=RowText.one_less(int(found[1])), is_error_frame=True), time)
         if _START.match(line) and self._next_origin is not None:
             self._origin, self._next_origin = self._next_origin, None
         for pattern, kind in _EVENTS:
@@ -157,7 +146,7 @@ class AscCapture(LineCapture):
         if not remote or (cells and not _FIELDS.match(rest)):
             if not cells:
                 raise UnreadableRow("no data length code")
-            size = CLASSIC_LENGTHS.get(integer(cells[0], self._base, "data length code"))
+            size = RowText.CLASSIC_LENGTHS.get(RowText.integer(cells[0], self._base, "data length code"))
             if size is None:
                 raise UnreadableRow(f"data length code {printable_start(cells[0])} is more than 15")
         data = b"" if remote else self._data(cells[1:], size or 0)
@@ -172,7 +161,7 @@ class AscCapture(LineCapture):
                 identifier,
                 data,
                 None,
-                one_less(int(channel)),
+                RowText.one_less(int(channel)),
                 extended,
                 remote,
                 is_rx=way.lower() == b"rx",
@@ -189,7 +178,9 @@ class AscCapture(LineCapture):
         cells = rest.split()
         if cells and cells[0].lower() == b"errorframe":
             return FrameRow(
-                Frame(0, channel=one_less(int(channel)), is_error_frame=True, is_rx=way.lower() == b"rx"),
+                Frame(
+                    0, channel=RowText.one_less(int(channel)), is_error_frame=True, is_rx=way.lower() == b"rx"
+                ),
                 time,
             )
         if len(cells) > 1 and cells[1] not in (b"0", b"1"):
@@ -197,9 +188,9 @@ class AscCapture(LineCapture):
         if len(cells) < 5 or cells[1] not in (b"0", b"1") or cells[2] not in (b"0", b"1"):
             raise UnreadableRow("a CANFD line needs identifier, BRS, ESI, length code and length")
         identifier, extended = self._identifier(cells[0], b"")
-        code = integer(cells[3], self._base, "data length code")
-        size = integer(cells[4], 10, "length")
-        if code not in FD_LENGTHS_BY_CODE:
+        code = RowText.integer(cells[3], self._base, "data length code")
+        size = RowText.integer(cells[4], 10, "length")
+        if code not in RowText.FD_LENGTHS_BY_CODE:
             raise UnreadableRow(f"data length code {code} is more than 15")
         if size not in FD_LENGTHS:
             raise UnreadableRow(f"a CAN FD frame cannot carry {size} data bytes")
@@ -208,11 +199,11 @@ class AscCapture(LineCapture):
             raise UnreadableRow(f"{size} bytes are announced, and not so many of two digits are there")
         if len(cells) < 8 + size:
             raise UnreadableRow("the line ends before its flags, which say whether it is a CAN FD frame")
-        flags = integer(cells[7 + size], 16, "flags")
+        flags = RowText.integer(cells[7 + size], 16, "flags")
         remote = bool(flags & 0x10) or (size == 0 and code > 0)
         switched = cells[1] == b"1"
         fd = not remote and (bool(flags & 0x1000) or size > 8 or switched)
-        stated = (FD_LENGTHS_BY_CODE if fd else CLASSIC_LENGTHS)[code]
+        stated = (RowText.FD_LENGTHS_BY_CODE if fd else RowText.CLASSIC_LENGTHS)[code]
         if not remote and size != stated:
             raise UnreadableRow(f"length code {code} means {stated} bytes, and {size} are announced")
         return FrameRow(
@@ -220,7 +211,7 @@ class AscCapture(LineCapture):
                 identifier,
                 data if not remote else b"",
                 None,
-                one_less(int(channel)),
+                RowText.one_less(int(channel)),
                 extended,
                 remote,
                 False,
@@ -228,20 +219,20 @@ class AscCapture(LineCapture):
                 fd and switched,
                 fd and cells[2] == b"1",
                 way.lower() == b"rx",
-                CLASSIC_LENGTHS[code] if remote else None,
+                RowText.CLASSIC_LENGTHS[code] if remote else None,
             ),
             time,
         )
 
     def _data(self, cells: list[bytes], size: int) -> bytes:
-        return hex_data(cells, size, self._base)
+        return RowText.data(cells, size, self._base)
 
     def _identifier(self, name: bytes, rest: bytes) -> tuple[int, bool]:
         extended = name[-1:] in b"xX"
         digits = name[:-1] if extended else name
         found = _NUMBER.search(rest)
         try:
-            number = integer(digits, self._base, "identifier")
+            number = RowText.integer(digits, self._base, "identifier")
         except UnreadableRow:
             if found is None:
                 raise
@@ -285,7 +276,7 @@ class AscCapture(LineCapture):
         for lines, columns in ((~is_fd, self._classic_columns), (is_fd, self._fd_columns)):
             if lines.any():
                 good, bus, table = columns(words.take(lines))
-                channel = channel_numbers(bus[good], self.channels, one_less)
+                channel = channel_numbers(bus[good], self.channels, RowText.one_less)
                 places.append(np.flatnonzero(lines)[good])
                 tables.append(replace(table.take(good), channel=channel))
                 usual[places[-1]] = True
@@ -308,7 +299,7 @@ class AscCapture(LineCapture):
                 word(behind + 8), 10, 1, 10, behind=words.last(word(behind + 8)) == ord("x")
             )
             agrees = is_number & (rest == 9) & (number == table.id)
-            agrees &= (words.last(word(behind + 8)) == ord("x")) == (table.flags & EXTENDED != 0)
+            agrees &= (words.last(word(behind + 8)) == ord("x")) == (table.flags & FrameFlag.EXTENDED != 0)
             for place, text in enumerate((b"Length", b"=", None, b"BitCount", b"=", None, b"ID", b"=")):
                 if text is not None:
                     agrees &= words.is_text(word(behind + place), text)
@@ -328,11 +319,13 @@ class AscCapture(LineCapture):
         data, is_data = words.data(word(begin + 4), length)
         flags, _, is_flags = words.number(word(begin + 6 + length), 16, 1, 8)
         good &= is_data & is_flags & (flags & 0x1010 == 0x1000) & (words.count >= begin + 7 + length)
-        bits = (switched == ord("1")) * np.uint8(BITRATE_SWITCH) | (state == ord("1")) * np.uint8(ERROR_STATE)
+        bits = (switched == ord("1")) * np.uint8(FrameFlag.BITRATE_SWITCH) | (state == ord("1")) * np.uint8(
+            FrameFlag.ERROR_STATE
+        )
         return (
             good,
             channel,
-            replace(table, length=length, data=data, flags=table.flags | np.uint8(FD) | bits),
+            replace(table, length=length, data=data, flags=table.flags | np.uint8(FrameFlag.FD) | bits),
         )
 
     def _common(self, words: Words, channel: int, identifier: int, way: int) -> tuple[Mask, Ints, FrameTable]:
@@ -352,7 +345,8 @@ class AscCapture(LineCapture):
                 time + self._origin,
                 np.zeros(len(time), np.uint16),
                 number.astype(np.uint32),
-                extended * np.uint8(EXTENDED) | np.where(received, np.uint8(RX), np.uint8(TX)),
+                extended * np.uint8(FrameFlag.EXTENDED)
+                | np.where(received, np.uint8(FrameFlag.RX), np.uint8(FrameFlag.TX)),
                 np.zeros(len(time), np.uint8),
                 np.zeros((len(time), 8), np.uint8),
                 self.channels,
@@ -360,7 +354,7 @@ class AscCapture(LineCapture):
         )
 
 
-_FD_SIZES = np.array(list(FD_LENGTHS_BY_CODE.values()))
+_FD_SIZES = np.array(list(RowText.FD_LENGTHS_BY_CODE.values()))
 
 
 # ---- dates ---------------------------------------------------------------------------------------------------------
@@ -422,4 +416,4 @@ def date_ns(text: bytes) -> int | None:
         return None
     rest = int(fraction) * 1_000_000 if len(fraction) <= 3 else int(fraction.ljust(9, "0"))
     instant = seconds * 1_000_000_000 + rest
-    return instant if abs(instant) < MAX_ORIGIN else None
+    return instant if abs(instant) < RowText.MAX_ORIGIN else None

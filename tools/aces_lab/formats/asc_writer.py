@@ -25,28 +25,19 @@ from datetime import datetime
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, Ints
+from aces_bus.frame_table import FrameFlag, Ints
 from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
-from aces_bus.recordings.write.text import (
-    Column,
-    choices,
-    decimal_text,
-    hexadecimal_text,
-    interleaved,
-    join_columns,
-    only,
-    padded_data,
-)
+from aces_bus.recordings.write.text import Column, ColumnText
 
 _DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _HOUR, _MILLISECOND = 3_600_000_000_000, 1_000_000
 
-_WAYS = choices([b" Rx  ", b" Tx  "])
-_KINDS = choices([b" d ", b" r "])
-_DLC = choices([b"%x" % n for n in range(16)])
-_MARKS = choices([b"0 0 ", b"1 0 ", b"0 1 ", b"1 1 "])
-_FLAGS = choices([b"    1000", b"    3000", b"    5000", b"    7000"])
+_WAYS = ColumnText.choices([b" Rx  ", b" Tx  "])
+_KINDS = ColumnText.choices([b" d ", b" r "])
+_DLC = ColumnText.choices([b"%x" % n for n in range(16)])
+_MARKS = ColumnText.choices([b"0 0 ", b"1 0 ", b"0 1 ", b"1 1 "])
+_FLAGS = ColumnText.choices([b"    1000", b"    3000", b"    5000", b"    7000"])
 _SYMBOLIC = b" " * 35  # the name of the message, which is not known here, and the blanks around it
 _END = b"        0" * 5 + b"\n"  # CRC and bit timing
 
@@ -90,7 +81,7 @@ class AscWriter(StartedWriter):
         times = _times(self._offsets)
         table = replace(table, length=self._remote_lengths(table))
         channels = self._numbers.numbers(table)
-        return interleaved(
+        return ColumnText.interleaved(
             len(table),
             [
                 (rows, kind(table.take(rows), times[rows], channels[rows]))
@@ -102,39 +93,39 @@ class AscWriter(StartedWriter):
 
 def _times(offsets: Ints) -> Column:
     seconds, nanoseconds = np.divmod(offsets, 1_000_000_000)
-    fraction = decimal_text(nanoseconds, 9)
+    fraction = ColumnText.decimal(nanoseconds, 9)
     whole = nanoseconds % 1000 == 0
     if whole.any():
         fraction = fraction.copy()
         fraction[whole, 6:] = 0
     point = np.full((len(offsets), 1), ord("."), np.uint8)
-    return np.hstack([decimal_text(seconds, 10, least=1, fill=b"   "), point, fraction])
+    return np.hstack([ColumnText.decimal(seconds, 10, least=1, fill=b"   "), point, fraction])
 
 
 def _identifiers(table: FrameTable) -> Column:
     """Return digits without zeros in front, and x behind those of 29 bits; blanks in front up to nine."""
-    digits = hexadecimal_text(table.id, least=1)
-    mark = np.where(table.flags & EXTENDED, ord("x"), 0).astype(np.uint8)
+    digits = ColumnText.hexadecimal(table.id, least=1)
+    mark = np.where(table.flags & FrameFlag.EXTENDED, ord("x"), 0).astype(np.uint8)
     return np.hstack([digits, mark[:, None]])
 
 
 def _classic(table: FrameTable, times: Column, channels: Ints) -> bytes:
-    remote = table.flags & REMOTE != 0
+    remote = table.flags & FrameFlag.REMOTE != 0
     identifiers = _identifiers(table)
     # As wide as python-can's: fifteen, whatever is not there is blank behind.
     missing = np.count_nonzero(identifiers == 0, axis=1) + 6
-    return join_columns(
+    return ColumnText.join(
         [
             times,
             b" ",
-            decimal_text(channels, 5, least=1),
+            ColumnText.decimal(channels, 5, least=1),
             b"  ",
             identifiers,
-            choices([b" " * n for n in range(16)])[missing],
-            _WAYS[(table.flags & TX != 0).astype(np.uint8)],
+            ColumnText.choices([b" " * n for n in range(16)])[missing],
+            _WAYS[(table.flags & FrameFlag.TX != 0).astype(np.uint8)],
             _KINDS[remote.astype(np.uint8)],
             _DLC[table.length],
-            only(padded_data(table, blank=True), ~remote),
+            ColumnText.only(ColumnText.data(table, blank=True), ~remote),
             b"\n",
         ],
         len(table),
@@ -142,20 +133,20 @@ def _classic(table: FrameTable, times: Column, channels: Ints) -> bytes:
 
 
 def _fd(table: FrameTable, times: Column, channels: Ints) -> bytes:
-    mark = (table.flags & BITRATE_SWITCH != 0) + 2 * (table.flags & ERROR_STATE != 0)
-    return join_columns(
+    mark = (table.flags & FrameFlag.BITRATE_SWITCH != 0) + 2 * (table.flags & FrameFlag.ERROR_STATE != 0)
+    return ColumnText.join(
         [
             times,
             b" CANFD ",
-            decimal_text(channels, 5, least=1, fill=b"  "),
-            _WAYS[(table.flags & TX != 0).astype(np.uint8)],
+            ColumnText.decimal(channels, 5, least=1, fill=b"  "),
+            _WAYS[(table.flags & FrameFlag.TX != 0).astype(np.uint8)],
             _identifiers(table),
             _SYMBOLIC,
             _MARKS[mark],
             _DLC[DLC_OF_LENGTH[table.length]],
             b" ",
-            decimal_text(table.length, 2, least=1, fill=b" "),
-            padded_data(table, blank=True),
+            ColumnText.decimal(table.length, 2, least=1, fill=b" "),
+            ColumnText.data(table, blank=True),
             b"        0    0 ",
             _FLAGS[mark],
             _END,
@@ -165,4 +156,6 @@ def _fd(table: FrameTable, times: Column, channels: Ints) -> bytes:
 
 
 def _errors(table: FrameTable, times: Column, channels: Ints) -> bytes:
-    return join_columns([times, b" ", decimal_text(channels, 5, least=1), b"  ErrorFrame\n"], len(table))
+    return ColumnText.join(
+        [times, b" ", ColumnText.decimal(channels, 5, least=1), b"  ErrorFrame\n"], len(table)
+    )

@@ -26,18 +26,7 @@ import re
 from datetime import datetime
 
 from aces_bus import Frame
-from aces_bus.recordings.text.rows import (
-    CLASSIC_LENGTHS,
-    FD_LENGTHS_BY_CODE,
-    MAX_ORIGIN,
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    hex_data,
-    integer,
-    is_received,
-    one_less,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 _SECOND = 1_000_000_000
 _DAY = 86_400 * _SECOND
@@ -84,17 +73,17 @@ class BusmasterCapture(LineCapture):
         cells = rest.split()
         if len(cells) < 5 or cells[3].lower() not in _TYPES:
             if error := _ERROR.match(rest):
-                channel = one_less(int(error[1])) if error[1] else None
+                channel = RowText.one_less(int(error[1])) if error[1] else None
                 return FrameRow(Frame(0, channel=channel, is_error_frame=True), time)
             raise UnreadableRow("a line needs direction, channel, identifier, type and length")
         return FrameRow(self._frame(cells), time)
 
     def _frame(self, cells: list[bytes]) -> Frame:
         way, channel, digits, kind, code, *data = cells
-        is_rx, kind = is_received(way), kind.lower()
+        is_rx, kind = RowText.is_received(way), kind.lower()
         remote, fd = kind.endswith(b"r"), kind.endswith(b"fd")
-        lengths = FD_LENGTHS_BY_CODE if fd else CLASSIC_LENGTHS
-        number = integer(code, 10, "length")
+        lengths = RowText.FD_LENGTHS_BY_CODE if fd else RowText.CLASSIC_LENGTHS
+        number = RowText.integer(code, 10, "length")
         size = number if fd and number in (12, 16, 20, 24, 32, 48, 64) else lengths.get(number)
         if fd and len(data) == lengths.get(number):
             size = len(data)  # 12 may be a length and a code
@@ -104,10 +93,10 @@ class BusmasterCapture(LineCapture):
             raise UnreadableRow(f"{size} bytes are announced, {len(data)} are there")
         is_hex = self._base == 16 or digits[:2] in (b"0x", b"0X")
         return Frame(
-            integer(digits, 16 if is_hex else 10, "identifier"),
-            b"" if remote else hex_data(data, size, self._base),
+            RowText.integer(digits, 16 if is_hex else 10, "identifier"),
+            b"" if remote else RowText.data(data, size, self._base),
             None,
-            one_less(integer(channel, 10, "channel")),
+            RowText.one_less(RowText.integer(channel, 10, "channel")),
             kind.startswith(b"x"),
             remote,
             is_fd=fd,
@@ -153,4 +142,4 @@ def _midnight(year: int, month: int, day: int) -> int | None:
         found = int(datetime(year, month, day).timestamp()) * _SECOND
     except (ValueError, OverflowError, OSError):
         return None
-    return found if abs(found) < MAX_ORIGIN else None
+    return found if abs(found) < RowText.MAX_ORIGIN else None

@@ -19,15 +19,7 @@ import re
 
 from aces_bus import Frame
 from aces_bus.recordings.base import printable_start
-from aces_bus.recordings.text.rows import (
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    decimal_ns,
-    hex_data,
-    integer,
-    one_less,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 _RECORD = re.compile(
     rb"([0-9]{1,12}\.[0-9]{1,9})\s+([0-9]{0,5})([A-Za-z][0-9A-Za-z]{2})(?:\s+(.*))?", re.DOTALL
@@ -69,11 +61,11 @@ class CrtdCapture(LineCapture):
         if not cells:
             raise UnreadableRow("no identifier")
         frame = Frame(
-            integer(cells[0], 16, "identifier"),
-            hex_data(cells[1:], len(cells) - 1),
+            RowText.integer(cells[0], 16, "identifier"),
+            RowText.data(cells[1:], len(cells) - 1),
             None,
-            one_less(int(bus or b"1")),
+            RowText.one_less(int(bus or b"1")),
             kind[1:] == b"29",
             is_rx=kind[:1] == b"R",
         )
-        return FrameRow(frame, decimal_ns(stamp))
+        return FrameRow(frame, RowText.nanoseconds(stamp))

@@ -20,17 +20,9 @@ import re
 import numpy as np
 
 from aces_bus import Frame, FrameTable
-from aces_bus.frame_table import EXTENDED, FD, RX, TX
+from aces_bus.frame_table import FrameFlag
 from aces_bus.recordings.base import printable_start
-from aces_bus.recordings.text.rows import (
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    decimal_ns,
-    hex_data,
-    integer,
-    is_received,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 from .beginnings import GVRET
 from .words import Mask, Words, channel_numbers
@@ -63,20 +55,20 @@ class GvretCapture(LineCapture):
         extended = _TRUE.get(cells[2].lower())
         if extended is None:
             raise UnreadableRow(f"extended is {printable_start(cells[2])!r}, neither true nor false")
-        is_rx = is_received(cells[3]) if has_way else None
+        is_rx = RowText.is_received(cells[3]) if has_way else None
         bus, size, *data = cells[3 + has_way :]
-        length = integer(size, 10, "length")
+        length = RowText.integer(size, 10, "length")
         return FrameRow(
             Frame(
-                integer(cells[1], 16, "identifier"),
-                hex_data(data, length),
+                RowText.integer(cells[1], 16, "identifier"),
+                RowText.data(data, length),
                 None,
-                str(integer(bus, 10, "bus")),
+                str(RowText.integer(bus, 10, "bus")),
                 extended,
                 is_fd=length > 8,
                 is_rx=is_rx,
             ),
-            decimal_ns(cells[0], _US),
+            RowText.nanoseconds(cells[0], _US),
         )
 
     def _quick(self, block: bytes) -> tuple[Mask, FrameTable]:
@@ -95,10 +87,10 @@ class GvretCapture(LineCapture):
         good &= is_number & is_bus & is_length & _IS_LENGTH[length & 0xFF]
         good &= extended | words.is_text(word(2), b"false")
         good &= identifier <= np.where(extended, 0x1FFF_FFFF, 0x7FF)
-        flags = extended * np.uint8(EXTENDED) | (length > 8) * np.uint8(FD)
+        flags = extended * np.uint8(FrameFlag.EXTENDED) | (length > 8) * np.uint8(FrameFlag.FD)
         if has_way:
             good &= received | sent
-            flags |= received * np.uint8(RX) | sent * np.uint8(TX)
+            flags |= received * np.uint8(FrameFlag.RX) | sent * np.uint8(FrameFlag.TX)
         data, is_data = words.data(word(size + 1), length * good)
         behind = size + 1 + length.astype(np.intp) * good
         good &= is_data & (words.count >= behind) & (words.count <= size + 1 + np.maximum(length, 8))

@@ -16,14 +16,14 @@ from typing import BinaryIO
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import ERROR, EXTENDED, REMOTE, RX, TX
+from aces_bus.frame_table import FrameFlag
 from aces_bus.recordings.write.base import ChannelNumbers, FrameWriter
-from aces_bus.recordings.write.text import choices, decimal_text, hexadecimal_text, join_columns
+from aces_bus.recordings.write.text import ColumnText
 
 _HEADER = b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
-_EXTENDED = choices([b",false,", b",true,"])
-_WAYS = choices([b"Rx,", b"Tx,"])
-_BYTES = choices([b"%02X," % number for number in range(256)])
+_EXTENDED = ColumnText.choices([b",false,", b",true,"])
+_WAYS = ColumnText.choices([b"Rx,", b"Tx,"])
+_BYTES = ColumnText.choices([b"%02X," % number for number in range(256)])
 
 
 class GvretWriter(FrameWriter):
@@ -39,15 +39,18 @@ class GvretWriter(FrameWriter):
 
     def _encoded(self, table: FrameTable) -> bytes:
         flags = table.flags
-        self.lose("remote frames (left out)", np.count_nonzero(flags & REMOTE))
-        self.lose("error frames (left out)", np.count_nonzero(flags & ERROR))
-        if (flags & (REMOTE | ERROR)).any():
-            table = table.take(np.flatnonzero(flags & (REMOTE | ERROR) == 0))
+        self.lose("remote frames (left out)", np.count_nonzero(flags & FrameFlag.REMOTE))
+        self.lose("error frames (left out)", np.count_nonzero(flags & FrameFlag.ERROR))
+        if (flags & (FrameFlag.REMOTE | FrameFlag.ERROR)).any():
+            table = table.take(np.flatnonzero(flags & (FrameFlag.REMOTE | FrameFlag.ERROR) == 0))
             flags = table.flags
         n = len(table)
         if not n:
             return b""
-        self.lose("unknown directions (written as received)", np.count_nonzero(flags & (RX | TX) == 0))
+        self.lose(
+            "unknown directions (written as received)",
+            np.count_nonzero(flags & (FrameFlag.RX | FrameFlag.TX) == 0),
+        )
         self.lose_fd(table)
         time = self._epoch_times(table)
         self.lose("times finer than 1 µs", np.count_nonzero(time % 1000))
@@ -57,16 +60,16 @@ class GvretWriter(FrameWriter):
         data[:, : table.data.shape[1]] = table.data[:, :width]
         is_there = np.arange(width) < np.maximum(length, 8)[:, None]
         cells = _BYTES[np.where(np.arange(width) < length[:, None], data, 0)] * is_there[:, :, None]
-        return join_columns(
+        return ColumnText.join(
             [
-                decimal_text((time + 500) // 1000, 19, least=1),
+                ColumnText.decimal((time + 500) // 1000, 19, least=1),
                 b",",
-                hexadecimal_text(table.id),
-                _EXTENDED[(flags & EXTENDED != 0).astype(np.uint8)],
-                _WAYS[(flags & TX != 0).astype(np.uint8)],
-                decimal_text(self._numbers.numbers(table) - 1, 5, least=1),
+                ColumnText.hexadecimal(table.id),
+                _EXTENDED[(flags & FrameFlag.EXTENDED != 0).astype(np.uint8)],
+                _WAYS[(flags & FrameFlag.TX != 0).astype(np.uint8)],
+                ColumnText.decimal(self._numbers.numbers(table) - 1, 5, least=1),
                 b",",
-                decimal_text(length, 2, least=1),
+                ColumnText.decimal(length, 2, least=1),
                 b",",
                 cells.reshape(n, -1),
                 b"\n",

@@ -30,16 +30,7 @@ from aces_bus.errors import CaptureError
 from aces_bus.frame_table import NO_TIME
 from aces_bus.recordings.base import printable_start
 from aces_bus.recordings.source import MAX_LINE, ByteSource
-from aces_bus.recordings.text.rows import (
-    FD_LENGTHS_BY_CODE,
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    check_remote,
-    decimal_ns,
-    hex_data,
-    integer,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 #: What a column is → its names, without case, blanks and signs.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -154,8 +145,8 @@ class IdCsvCapture(LineCapture):
         number = self._number(digits[:-1] if is_marked else digits, plan.id_base)
         missing = {role for role, place in plan.places.items() if place >= len(cells)}
         remote, error = flag("remote"), flag("error")
-        size = integer(cell("length"), 10, "length") if cell("length") else None
-        check_remote(remote, error, size or 0)
+        size = RowText.integer(cell("length"), 10, "length") if cell("length") else None
+        RowText.check_remote(remote, error, size or 0)
         if missing - {"data"} or (missing and not remote and size != 0):
             raise UnreadableRow(
                 f"{len(cells)} columns; the header names more, and {', '.join(sorted(missing))} in them"
@@ -208,8 +199,8 @@ class IdCsvCapture(LineCapture):
             if size is None:
                 while found and not found[-1]:
                     found.pop()
-            elif size > 8 and FD_LENGTHS_BY_CODE.get(size) == sum(map(bool, found)):
-                size = FD_LENGTHS_BY_CODE[size]  # a code, and so many bytes are there
+            elif size > 8 and RowText.FD_LENGTHS_BY_CODE.get(size) == sum(map(bool, found)):
+                size = RowText.FD_LENGTHS_BY_CODE[size]  # a code, and so many bytes are there
             return self._bytes(found, len(found) if size is None else size)
         parts = [part for part in _GAPS.split(cell) if part]
         if len(parts) == 1 and plan.data_base == 16:
@@ -219,7 +210,7 @@ class IdCsvCapture(LineCapture):
             parts = [text[start : start + 2] for start in range(0, len(text), 2)]
             if parts and len(parts[-1]) != 2:
                 raise UnreadableRow("odd number of hexadecimal digits")
-        if size is not None and len(parts) != size and FD_LENGTHS_BY_CODE.get(size) != len(parts):
+        if size is not None and len(parts) != size and RowText.FD_LENGTHS_BY_CODE.get(size) != len(parts):
             raise UnreadableRow(f"{size} bytes are announced, {len(parts)} are there")
         return self._bytes(parts, len(parts))
 
@@ -228,12 +219,12 @@ class IdCsvCapture(LineCapture):
             raise UnreadableRow(f"{size} bytes are more than a frame holds")
         if self._plan.data_base == 10:
             cells = [b"%02x" % (self._number(cell, 10) & 0xFFF) for cell in cells[:size]]
-        return hex_data(cells, size)
+        return RowText.data(cells, size)
 
     def _number(self, digits: bytes, base: int) -> int:
         if digits[:2] in (b"0x", b"0X"):
             base = 16
-        return integer(digits, base, "identifier" if base == self._plan.id_base else "number")
+        return RowText.integer(digits, base, "identifier" if base == self._plan.id_base else "number")
 
     def _time(self, text: bytes) -> int:
         if not text:
@@ -242,7 +233,7 @@ class IdCsvCapture(LineCapture):
             text = text.replace(b",", b".")
         if b"-" in text[1:] and b":" in text:
             return _date(text)
-        return decimal_ns(text, self._plan.time_unit)
+        return RowText.nanoseconds(text, self._plan.time_unit)
 
 
 def _date(text: bytes) -> int:

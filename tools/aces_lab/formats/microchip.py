@@ -24,15 +24,7 @@ import re
 
 from aces_bus import Frame
 from aces_bus.recordings.base import printable_start
-from aces_bus.recordings.text.rows import (
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    decimal_ns,
-    hex_data,
-    integer,
-    is_received,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 _RULE = re.compile(rb"//\s*[-=*/_]{3,}|/{5,}")
 
@@ -58,28 +50,28 @@ class MicrochipCapture(LineCapture):
                 return None
             if len(cells) < 4:
                 raise UnreadableRow("a line needs time, direction, identifier and length")
-        is_rx, self._is_comment = is_received(cells[1]), False
+        is_rx, self._is_comment = RowText.is_received(cells[1]), False
         stamp, _, digits, length, *data = cells
         is_marked = digits[-1:] in b"xX" and digits != b""
         digits = digits[:-1] if is_marked else digits
         number = _number(digits, "identifier")
-        size = integer(length, 10, "length")
+        size = RowText.integer(length, 10, "length")
         if any(data[size:]) and not all(map(_is_byte, data[size:])):
             raise UnreadableRow("what follows the bytes is none")
         unit = 1_000_000_000 if b"." in stamp else 1_000_000
         frame = Frame(
             number,
-            hex_data([b"%02x" % _byte(cell) for cell in data[:size] if cell], size),
+            RowText.data([b"%02x" % _byte(cell) for cell in data[:size] if cell], size),
             None,
             None,
             is_marked or number > 0x7FF,
             is_rx=is_rx,
         )
-        return FrameRow(frame, decimal_ns(stamp, unit))
+        return FrameRow(frame, RowText.nanoseconds(stamp, unit))
 
 
 def _number(text: bytes, what: str) -> int:
-    return integer(text, 16 if text[:2] in (b"0x", b"0X") else 10, what)
+    return RowText.integer(text, 16 if text[:2] in (b"0x", b"0X") else 10, what)
 
 
 def _byte(text: bytes) -> int:

@@ -36,21 +36,9 @@ from decimal import Decimal
 import numpy as np
 
 from aces_bus import Frame, FrameTable
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX
+from aces_bus.frame_table import FrameFlag
 from aces_bus.recordings.base import printable_start
-from aces_bus.recordings.text.rows import (
-    CLASSIC_LENGTHS,
-    FD_LENGTHS_BY_CODE,
-    MAX_ORIGIN,
-    FrameRow,
-    LineCapture,
-    UnreadableRow,
-    check_remote,
-    decimal_ns,
-    hex_data,
-    integer,
-    one_less,
-)
+from aces_bus.recordings.text.rows import FrameRow, LineCapture, RowText, UnreadableRow
 
 from .words import Mask, Words, channel_numbers
 
@@ -63,10 +51,10 @@ _NEEDED = {"O", "T", "I", "D"}
 #: Type → flags of its frames.
 _DATA = {
     b"DT": 0,
-    b"FD": FD,
-    b"FB": FD | BITRATE_SWITCH,
-    b"FE": FD | ERROR_STATE,
-    b"BI": FD | BITRATE_SWITCH | ERROR_STATE,
+    b"FD": FrameFlag.FD,
+    b"FB": FrameFlag.FD | FrameFlag.BITRATE_SWITCH,
+    b"FE": FrameFlag.FD | FrameFlag.ERROR_STATE,
+    b"BI": FrameFlag.FD | FrameFlag.BITRATE_SWITCH | FrameFlag.ERROR_STATE,
 }
 _WAYS = {b"Rx": True, b"Tx": False, b"-": None, b"": None}
 _OTHERS = {b"ST": "hardware states", b"EC": "error counters", b"EV": "events"}
@@ -111,7 +99,7 @@ class TrcCapture(LineCapture):
                 raise UnreadableRow("the start time is not a number of days; times count from the start")
             days = Decimal(value.replace(",", ".")) - _EPOCH
             origin = int((days * (86_400 * 10**9)).to_integral_value())
-            if abs(origin) >= MAX_ORIGIN:
+            if abs(origin) >= RowText.MAX_ORIGIN:
                 raise UnreadableRow("the start time is out of range; times count from the start")
             self._origin = origin
         elif key == b"COLUMNS":
@@ -160,19 +148,19 @@ class TrcCapture(LineCapture):
         if rest[:1] and rest[0] in _OLD_TYPES:
             kind = rest.pop(0)
         elif len(rest) > 1 and rest[1] in _OLD_TYPES:
-            bus, kind = integer(rest[0], 10, "bus"), rest[1]
+            bus, kind = RowText.integer(rest[0], 10, "bus"), rest[1]
             rest = rest[2:]
         if rest[1:2] == [b"-"] or (self._version == "1.3" and len(rest) > 2):
             del rest[1]
         if len(rest) < 2:
             raise UnreadableRow("a line needs time, identifier and length")
-        channel = None if bus is None else one_less(bus)
+        channel = None if bus is None else RowText.one_less(bus)
         if kind == b"Warng" or rest[0].upper() == b"FFFFFFFF":
             self._other("bus warnings")
             return None
         if kind == b"Error" or rest[2:3] == [b"ERROR"]:
             return FrameRow(Frame(0, channel=channel, is_error_frame=True), time)
-        size = integer(rest[1], 10, "length")
+        size = RowText.integer(rest[1], 10, "length")
         is_rx = None if kind is None else kind == b"Rx"
         return self._frame(rest[0], rest[2:], size, channel, is_rx, 0, rest[2:3] == [b"RTR"], time)
 
@@ -202,7 +190,7 @@ class TrcCapture(LineCapture):
                 found[column] = cells[number]
         time = self._instant(found.get("O", b""))
         bus = found.get("B", b"")
-        channel = None if bus in (b"", b"-") else one_less(integer(bus, 10, "bus"))
+        channel = None if bus in (b"", b"-") else RowText.one_less(RowText.integer(bus, 10, "bus"))
         if kind == b"ER":
             return FrameRow(Frame(0, channel=channel, is_error_frame=True), time)
         way = found.get("d", b"")
@@ -220,11 +208,11 @@ class TrcCapture(LineCapture):
 
     def _size(self, found: dict[str, bytes], kind: bytes) -> int:
         if "l" in found:
-            return integer(found["l"], 10, "length")
+            return RowText.integer(found["l"], 10, "length")
         if "L" not in found:
             raise UnreadableRow("no length")
-        code = integer(found["L"], 10, "length code")
-        lengths = FD_LENGTHS_BY_CODE if kind not in (b"DT", b"RR") else CLASSIC_LENGTHS
+        code = RowText.integer(found["L"], 10, "length code")
+        lengths = RowText.FD_LENGTHS_BY_CODE if kind not in (b"DT", b"RR") else RowText.CLASSIC_LENGTHS
         if code not in lengths:
             if kind == b"DT":
                 return code
@@ -242,22 +230,22 @@ class TrcCapture(LineCapture):
         remote: bool,
         time: int,
     ) -> FrameRow:
-        data = b"" if remote else hex_data(cells, size)
+        data = b"" if remote else RowText.data(cells, size)
         if not remote and len(cells) > size:
             raise UnreadableRow(f"more than the {size} bytes that are announced")
-        check_remote(remote, False, size)
+        RowText.check_remote(remote, False, size)
         return FrameRow(
             Frame(
-                integer(digits, 16, "identifier"),
+                RowText.integer(digits, 16, "identifier"),
                 data,
                 None,
                 channel,
                 len(digits) > 4,
                 remote,
                 False,
-                bool(flags & FD),
-                bool(flags & BITRATE_SWITCH),
-                bool(flags & ERROR_STATE),
+                bool(flags & FrameFlag.FD),
+                bool(flags & FrameFlag.BITRATE_SWITCH),
+                bool(flags & FrameFlag.ERROR_STATE),
                 is_rx,
                 size if remote else None,
             ),
@@ -265,7 +253,7 @@ class TrcCapture(LineCapture):
         )
 
     def _instant(self, text: bytes) -> int:
-        return self._origin + decimal_ns(text.rstrip(b")"), _MS)
+        return self._origin + RowText.nanoseconds(text.rstrip(b")"), _MS)
 
     # ---- many lines
 
@@ -284,7 +272,7 @@ class TrcCapture(LineCapture):
         identifier, digits, is_number = words.number(found["I"], 16, 4, 8)
         extended = digits > 4
         good &= is_time & is_number & (identifier <= np.where(extended, 0x1FFF_FFFF, 0x7FF))
-        flags = extended * np.uint8(EXTENDED)
+        flags = extended * np.uint8(FrameFlag.EXTENDED)
         if "T" in found:
             is_type = np.zeros(n, np.bool_)
             for text, bits in _DATA.items():
@@ -296,8 +284,8 @@ class TrcCapture(LineCapture):
         if "d" in found:
             received, sent = words.is_text(found["d"], b"Rx"), words.is_text(found["d"], b"Tx")
             good &= received | sent
-            flags |= received * np.uint8(RX) | sent * np.uint8(TX)
-        is_fd = flags & FD != 0
+            flags |= received * np.uint8(FrameFlag.RX) | sent * np.uint8(FrameFlag.TX)
+        is_fd = flags & FrameFlag.FD != 0
         if "L" in found:
             code, _, is_size = words.number(found["L"], 10, 1, 2)
             good &= is_size & (code < 16)
@@ -311,7 +299,7 @@ class TrcCapture(LineCapture):
         if "B" in found:
             bus, _, is_bus = words.number(found["B"], 10, 1, 5)
             good &= is_bus
-        channel = channel_numbers(bus[good], self.channels, one_less)
+        channel = channel_numbers(bus[good], self.channels, RowText.one_less)
         return good, FrameTable(
             time[good] + self._origin,
             channel,
@@ -323,5 +311,5 @@ class TrcCapture(LineCapture):
         )
 
 
-_FD_SIZES = np.array(list(FD_LENGTHS_BY_CODE.values()))
+_FD_SIZES = np.array(list(RowText.FD_LENGTHS_BY_CODE.values()))
 _IS_FD_SIZE = np.isin(np.arange(256), _FD_SIZES)

@@ -26,24 +26,17 @@ from typing import BinaryIO
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, TX, Ints
+from aces_bus.frame_table import FrameFlag, Ints
 from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter
-from aces_bus.recordings.write.text import (
-    choices,
-    decimal_text,
-    hexadecimal_text,
-    join_columns,
-    only,
-    padded_data,
-)
+from aces_bus.recordings.write.text import ColumnText
 
 #: 1e-7 days in ns, and the days from 1899-12-30 to 1970-01-01.
 _GRAIN, _DAYS_BEFORE = 8_640_000, 25_569
 
-_TYPES = choices([b" DT ", b" RR ", b" FD ", b" FB ", b" FE ", b" BI ", b" ER "])
-_WAYS = choices([b" Rx -  ", b" Tx -  "])
-_DLC = choices([b"%-2d" % n for n in range(16)])
-_ERROR_DATA = choices([b"", b"   08 00 00 00 00"])
+_TYPES = ColumnText.choices([b" DT ", b" RR ", b" FD ", b" FB ", b" FE ", b" BI ", b" ER "])
+_WAYS = ColumnText.choices([b" Rx -  ", b" Tx -  "])
+_DLC = ColumnText.choices([b"%-2d" % n for n in range(16)])
+_ERROR_DATA = ColumnText.choices([b"", b"   08 00 00 00 00"])
 
 _HEADER = """\
 ;$FILEVERSION=2.1
@@ -96,41 +89,49 @@ class TrcWriter(StartedWriter):
 
     def _encoded(self, table: FrameTable) -> bytes:
         n, flags = len(table), table.flags
-        error, fd, remote = flags & ERROR != 0, flags & FD != 0, flags & REMOTE != 0
+        error, fd, remote = (
+            flags & FrameFlag.ERROR != 0,
+            flags & FrameFlag.FD != 0,
+            flags & FrameFlag.REMOTE != 0,
+        )
         kind = np.where(
             error,
             6,
-            np.where(fd, 2 + (flags & BITRATE_SWITCH != 0) + 2 * (flags & ERROR_STATE != 0), remote),
+            np.where(
+                fd,
+                2 + (flags & FrameFlag.BITRATE_SWITCH != 0) + 2 * (flags & FrameFlag.ERROR_STATE != 0),
+                remote,
+            ),
         )
         length = self._remote_lengths(table)
         milliseconds, micro = np.divmod((self._offsets + 500) // 1000, 1000)
         # Eight digits, or four, with blanks in front; an error frame has none.
-        digits = hexadecimal_text(table.id, least=8)
-        standard = (flags & EXTENDED == 0) & ~error
+        digits = ColumnText.hexadecimal(table.id, least=8)
+        standard = (flags & FrameFlag.EXTENDED == 0) & ~error
         if standard.any():
             digits = digits.copy()
             digits[standard, :4] = ord(" ")
         if error.any():
             digits = digits.copy()
             digits[error] = np.frombuffer(b"       -", np.uint8)
-        data = padded_data(table, blank=True)
+        data = ColumnText.data(table, blank=True)
         number = np.arange(self._written + 1, self._written + n + 1)
         self._written += n
-        return join_columns(
+        return ColumnText.join(
             [
-                decimal_text(number, 12, least=1, fill=b" " * 6),
+                ColumnText.decimal(number, 12, least=1, fill=b" " * 6),
                 b" ",
-                decimal_text(milliseconds, 16, least=1, fill=b" " * 8),
+                ColumnText.decimal(milliseconds, 16, least=1, fill=b" " * 8),
                 b".",
-                decimal_text(micro, 3),
+                ColumnText.decimal(micro, 3),
                 _TYPES[kind],
-                decimal_text(self._numbers.numbers(table), 5, least=1, fill=b" "),
+                ColumnText.decimal(self._numbers.numbers(table), 5, least=1, fill=b" "),
                 b" ",
                 digits,
-                _WAYS[(flags & TX != 0).astype(np.uint8)],
+                _WAYS[(flags & FrameFlag.TX != 0).astype(np.uint8)],
                 _DLC[np.where(error, 5, DLC_OF_LENGTH[length])],
                 b"  ",
-                only(data, ~(remote | error)),
+                ColumnText.only(data, ~(remote | error)),
                 _ERROR_DATA[error.astype(np.uint8)][:, 2:],
                 b"\r\n",
             ],

@@ -13,11 +13,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from aces_bus import FrameTable
+from aces_bus import FrameTable, make_column_scanner
 from aces_bus._lazy import np
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import check_protocol
 from aces_tools.authoring.check import prove

@@ -15,7 +15,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from aces_bus.frames import EXTENDED, FD, REMOTE
-from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from aces_bus.protocol.exchange.names import PythonNames
 
 from .fields import FieldGuess
 from .reference import ReferenceGuesses
@@ -89,7 +89,7 @@ def imports_of(lines: Iterable[str]) -> list[str]:
 
 def own_name(name: str) -> str:
     """Return the name of a draft's protocol, that hides nothing which a draft uses."""
-    return unused(name.lower(), set(_OURS | _CONSTRUCTS | TAKEN_BY_CODE))
+    return PythonNames.unused(name.lower(), set(_OURS | _CONSTRUCTS | PythonNames.TAKEN_BY_CODE))
 
 
 def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = False) -> list[str]:
@@ -145,7 +145,7 @@ def field_name(field: FieldGuess) -> str:
 
 def _measured_name(name: str) -> str:
     """Return the name of a quantity as one of a field, apart from those that are made of kinds and places."""
-    made = unused(name, set(TAKEN_BY_CODE | TAKEN_BY_RECORDS))
+    made = PythonNames.unused(name, set(PythonNames.TAKEN_BY_CODE | PythonNames.TAKEN_BY_RECORDS))
     return f"{made}_" if _PLACE.fullmatch(made) else made
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import ERROR, NO_TIME, rows_at
+from aces_bus.frame_table import NO_TIME, FrameFlag, rows_at
 from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.fitting import FittingProtocol, fitting_protocols, undecoded
 from aces_bus.traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each
@@ -169,7 +169,7 @@ class Traffic:
     def add(self, table: FrameTable) -> None:
         """Add frames of the same recordings; the tables of one recording share their channels."""
         self.frames += len(table)
-        is_error = (table.flags & ERROR) != 0
+        is_error = (table.flags & FrameFlag.ERROR) != 0
         self.errors += int(is_error.sum())
         room = FRAMES - self._kept
         rows = np.flatnonzero(~is_error)[: max(0, room)]

@@ -17,18 +17,25 @@ import z3
 from aces_bus.protocol import (
     BitLayout,
     Check,
+    Counter,
     DataIds,
+    Enumeration,
     Extra,
+    Field,
+    Flags,
     Fletcher,
     IdBytes,
     Items,
     Message,
     Multiplexed,
+    Quantity,
     RequestBytes,
+    SignMagnitude,
     Sum,
+    Text,
+    TwoScales,
     Xor,
 )
-from aces_bus.protocol.declare import fields as f
 from aces_bus.protocol.declare.bits import Bits, ByteSplit
 from aces_bus.protocol.declare.checks import Covered
 from aces_bus.protocol.declare.head import Head
@@ -151,9 +158,9 @@ class Reader:
                 return self._switch(con, context)
             case c.Transformed() | c.Restreamed():
                 raise NotProvable(f"{type(con).__name__} is not read as arithmetic")
-            case f.Text():
+            case Text():
                 return self._text(con)
-            case f.Field():
+            case Field():
                 return self._field(con, context)
             case c.Default() | c.Rebuild():
                 return self.read(con.subcon, context)
@@ -204,7 +211,7 @@ class Reader:
             return SymbolicReal(SymbolicFloat(bits_number(self.data, places, signed=True).term))
         return bits_number(self.data, places, signed=kind.islower())
 
-    def _text(self, con: f.Text) -> Any:
+    def _text(self, con: Text) -> Any:
         if con.ends:
             raise NotProvable("a text that one of several characters ends")
         data = self.take(self.end - self.at if con.size is None else con.size)
@@ -213,10 +220,8 @@ class Reader:
         text = data.decode("latin-1")
         return text if con.size is None else text.rstrip("\0")
 
-    def _field(self, con: f.Field, context: c.Container) -> Any:
-        if not isinstance(
-            con, f.Quantity | f.TwoScales | f.SignMagnitude | f.Enumeration | f.Flags | f.Counter
-        ):
+    def _field(self, con: Field, context: c.Container) -> Any:
+        if not isinstance(con, Quantity | TwoScales | SignMagnitude | Enumeration | Flags | Counter):
             raise NotProvable(f"{type(con).__name__} is a field of its own kind")
         return field_value(con, self.read(con.subcon, context), raw=self.raw)
 
@@ -353,11 +358,11 @@ class Reader:
         return c.Container(kind=kind, data=inside, reason=f"malformed: data of size {size} are not a {name}")
 
 
-def adapters_of(field: c.Construct) -> list[f.Field]:
+def adapters_of(field: c.Construct) -> list[Field]:
     """Return the fields around the bits of a layout, the innermost first."""
-    found: list[f.Field] = []
+    found: list[Field] = []
     while not isinstance(field, Bits):
-        if isinstance(field, f.Field):
+        if isinstance(field, Field):
             found.insert(0, field)
         elif not isinstance(field, c.Renamed | c.Default):
             raise NotProvable(f"{type(field).__name__} is not read as arithmetic")
@@ -365,29 +370,29 @@ def adapters_of(field: c.Construct) -> list[f.Field]:
     return found
 
 
-def field_value(field: f.Field, number: Any, *, raw: bool) -> Any:
+def field_value(field: Field, number: Any, *, raw: bool) -> Any:
     """Return what a field makes of its number; in raw mode only its sign."""
-    if isinstance(field, f.SignMagnitude):
+    if isinstance(field, SignMagnitude):
         half = 1 << field.width - 1
         if type(number) is SymbolicInt:
             PathSearch.current.exempt.append((number == half).term)  # negative zero reads as 0
         return number if number < half else half - number
-    if raw or isinstance(field, f.Counter):
+    if raw or isinstance(field, Counter):
         return number
-    if isinstance(field, f.Enumeration):
+    if isinstance(field, Enumeration):
         return (
             SymbolicName(number, field.values)
             if type(number) is SymbolicInt
             else field.values.get(number, number)
         )
-    if isinstance(field, f.Flags):
+    if isinstance(field, Flags):
         return SymbolicFlags(number, field.names) if type(number) is SymbolicInt else number
-    if isinstance(field, f.TwoScales):
+    if isinstance(field, TwoScales):
         (scale, offset), (other_scale, other_offset) = field.scales
         if number < field.half:
             return number * scale + offset
         return (number - field.half) * other_scale + other_offset
-    if not isinstance(field, f.Quantity):
+    if not isinstance(field, Quantity):
         raise NotProvable(f"{type(field).__name__} is a field of its own kind")
     if len(field.unknown) and is_value_of(number, field.unknown):
         return None

@@ -29,7 +29,7 @@ from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.generate.scan import seek_pattern
 from aces_bus.protocol.generate.source import load_source
 from aces_bus.protocol.live import stream
-from aces_bus.testing import laws
+from aces_bus.testing import Scene, laws
 from aces_bus.testing.laws import Way, directions
 
 from .account import Outcome
@@ -454,7 +454,7 @@ def piece_sequences(pieces: Sequence[bytes]) -> tuple[int, Iterator[bytes]]:
 
 def differing(scanner: stream.StreamScanner, data: bytes) -> str:
     """Return how scanner and reference differ on a stream, split in two anywhere; empty where they agree."""
-    scene = laws.Scene(data)
+    scene = Scene(data)
     want = laws.reference_items(scanner.variants, scanner.direction, scene)
     usual = stream.WORTH
     try:

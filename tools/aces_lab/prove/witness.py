@@ -7,12 +7,12 @@ import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from aces_bus import Frame, FrameTable
+from aces_bus import Frame, FrameTable, Unknown, as_dict
 from aces_bus.errors import AcesError
 from aces_bus.frames import EXTENDED, FD, REMOTE
-from aces_bus.protocol import FlagSet, Message, Variant
+from aces_bus.protocol import FlagSet, Message, Record, Variant
 from aces_bus.protocol.declare.packet import key_image
-from aces_bus.protocol.record import Record, Unknown, as_dict, plain_value
+from aces_bus.protocol.record import plain_value
 from aces_tools.output.text import Paint
 
 from .decoding import Witness

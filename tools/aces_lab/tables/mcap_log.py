@@ -16,17 +16,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from aces_bus.controller.log.base import (
-    MOST_NUMBERS,
-    NOT_CLOSED,
-    About,
-    Log,
-    LogError,
-    LogSink,
-    Row,
-    about_of,
-    made_log,
-)
+from aces_bus.controller.log.base import About, Log, LogError, LogSink, Row
 from aces_bus.errors import CallerError
 
 from .mcap_file import CHANNEL, MESSAGE, Fields, McapFault, McapReader, McapWriter
@@ -69,7 +59,7 @@ def _declared(channel: Fields) -> tuple[int, About | None]:
     while metadata:
         key, value = metadata.text(), metadata.text()
         if key == KEY and encoding == "json":
-            found = about_of(value)
+            found = About.parse(value)
     return number, found
 
 
@@ -106,13 +96,13 @@ def read_mcap_log(path: str, most_numbers: int) -> Log:
     if about is None:
         raise LogError(f"{path}: an MCAP without a channel of a logger; Foxglove and PlotJuggler open it")
     table = np.array(numbers, np.float64).reshape(len(instants), len(about.columns))
-    notes = [NOT_CLOSED.format(path)] if reader.is_cut else []
-    return made_log(path, "mcap", about, table, notes, np.array(instants, np.int64) / 1e9)
+    notes = [Log.NOT_CLOSED.format(path)] if reader.is_cut else []
+    return Log.of_table(path, "mcap", about, table, notes, np.array(instants, np.int64) / 1e9)
 
 
 def recover_mcap(path: str) -> int:
     """Close a file whose writer was killed; returns the number of rows. The file takes its place when it is whole."""
-    log = read_mcap_log(path, MOST_NUMBERS)
+    log = read_mcap_log(path, Log.MOST_NUMBERS)
     if not log.notes:
         raise CallerError(f"{path}: was closed; nothing is to recover")
     made = path + ".part"

@@ -61,7 +61,7 @@ from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.files import load_file, python_file
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.fields import Written
-from aces_bus.protocol.lint.finding import LEVELS, Finding, sort_key
+from aces_bus.protocol.lint.finding import Finding
 from aces_bus.protocol.lint.templates import check_wire
 from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.tracebacks import exception_text, innermost_line
@@ -156,7 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
         wires = [[variant] for variant in variants] if arguments.apart else [list(variants)]
         results += [_hold_against(wire, variants, arguments) for wire in wires if wire]
     for result in results:
-        result.findings.sort(key=sort_key)
+        result.findings.sort(key=Finding.sort_key)
     if arguments.json:
         _print_results(results)
     else:
@@ -407,7 +407,7 @@ def _print_results(results: Sequence[Checked]) -> None:
                 "name": result.name,
                 "ok": not result.complaint and all(level == "note" for level in levels),
                 "messages": sum(len(protocol.declared) for protocol in result.protocols),
-                "counts": {level: levels.count(level) for level in LEVELS},
+                "counts": {level: levels.count(level) for level in Finding.LEVELS},
                 "complaint": result.complaint or None,
                 "scenes": result.scenes,
                 "findings": [finding.as_dict() for finding in result.findings],
@@ -447,7 +447,7 @@ def _summary(result: Checked, hidden: int) -> str:
     messages = sum(len(protocol.declared) for protocol in result.protocols)
     parts = [counted(messages, "message")] if messages else []
     levels = [finding.level for finding in result.findings]
-    parts += [counted(levels.count(level), level) for level in LEVELS if level in levels]
+    parts += [counted(levels.count(level), level) for level in Finding.LEVELS if level in levels]
     is_clean = all(level == "note" for level in levels)
     text = ("ok: " if is_clean else "") + (", ".join(parts) or result.nothing)
     return f"{text} (--notes shows them)" if hidden else text

@@ -14,7 +14,7 @@ from typing import Any
 from aces_bus.protocol import Message, Quantity
 from aces_bus.protocol.declare.bits import Bits
 from aces_bus.protocol.declare.fields import wire_number
-from aces_bus.protocol.draw.table import FieldRow, captured_values, field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.lint.fields import Written, payload_fields
 from aces_bus.protocol.plan.flatten import flatten
 
@@ -125,7 +125,7 @@ def _exactly(message: Message) -> Any:
     return (
         _template_key(message),
         plan.lengths,
-        tuple((row.name, *(getattr(row, column) for column in COMPARED)) for row in field_table(plan)),
+        tuple((row.name, *(getattr(row, column) for column in COMPARED)) for row in FieldRow.table(plan)),
     )
 
 
@@ -157,7 +157,7 @@ def _compared(old: Message, new: Message) -> Changed:
 def _rows(message: Message) -> dict[str, FieldRow]:
     """Return the lines of a message's fields; of those that only construct takes apart, what is in them too."""
     plan = flatten(message)
-    rows = {row.name: row for row in field_table(plan, captured_values(message))}
+    rows = {row.name: row for row in FieldRow.table(plan, FieldRow.captured(message))}
     opaque = set(plan.opaque_names)
     for written in payload_fields(message):
         name = written.name

@@ -8,19 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from aces_bus.protocol.draw.svg import (
-    BAD,
-    BAD_INK,
-    FAINT,
-    GOOD,
-    GOOD_INK,
-    INK,
-    OPEN,
-    PAPER,
-    Canvas,
-    fitted,
-    text_width,
-)
+from aces_bus.protocol.draw.svg import Canvas, Colour
 from aces_bus.protocol.explain.attempt import Attempt, Step, TemplateTrace
 from aces_bus.protocol.lint.examples import show_value
 from aces_bus.protocol.record import plain_value
@@ -56,10 +44,10 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
     lefts = [NAME + sum(widths[:index]) for index in range(len(widths))]
     top = _read(canvas, steps, lefts, top)
     for step, left, width in zip(steps, lefts, widths, strict=True):
-        canvas.text(left + width / 2, top + 9, step.place, FAINT, size=SMALL, anchor="middle")
-        canvas.box(left, top + 13, width, HIGH, PAPER, line=INK, weight=1.4)
-        canvas.text(left + width / 2, top + 28, step.part, INK, anchor="middle", is_bold=True)
-    canvas.text(0, top + 28, "parts", FAINT)
+        canvas.text(left + width / 2, top + 9, step.place, Colour.FAINT, size=SMALL, anchor="middle")
+        canvas.box(left, top + 13, width, HIGH, Colour.PAPER, line=Colour.INK, weight=1.4)
+        canvas.text(left + width / 2, top + 28, step.part, Colour.INK, anchor="middle", is_bold=True)
+    canvas.text(0, top + 28, "parts", Colour.FAINT)
     top += 13 + HIGH + 6
     rows = _chosen(attempt.rows)
     for row in rows:
@@ -67,11 +55,11 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
         top += HIGH + 3
     others = len(attempt.rows) - len(rows)
     if others:
-        canvas.text(0, top + 13, f"and {others} more, which died sooner or as soon", FAINT, size=SMALL)
+        canvas.text(0, top + 13, f"and {others} more, which died sooner or as soon", Colour.FAINT, size=SMALL)
         top += 18
     left_out = len(attempt.steps) - len(steps) + attempt.left_out
     if left_out:
-        canvas.text(NAME, top + 13, f"{left_out} more bytes are not drawn", FAINT, size=SMALL)
+        canvas.text(NAME, top + 13, f"{left_out} more bytes are not drawn", Colour.FAINT, size=SMALL)
         top += 18
     canvas.text(0, top + 15, "→ " + verdict, colour, is_bold=True)
     return top + 18
@@ -79,7 +67,7 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
 
 def _width(index: int, step: Step, rows: Sequence[TemplateTrace]) -> float:
     texts = [step.part, *(_text(row, index) for row in _chosen(rows) if index < len(row.cells))]
-    return min(130.0, max(38.0, max(text_width(text, SMALL) for text in texts) + 10))
+    return min(130.0, max(38.0, max(Canvas.text_width(text, SMALL) for text in texts) + 10))
 
 
 def _read(canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], top: float) -> float:
@@ -96,12 +84,12 @@ def _read(canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], top: fl
             line = next((number for number, end in enumerate(ends) if end < x), len(ends))
             if line == len(ends):
                 ends.append(0.0)
-            ends[line] = x + text_width(text, SMALL) + 10
+            ends[line] = x + Canvas.text_width(text, SMALL) + 10
             marks.append((line, lefts[index] + 1))
-            canvas.text(x, top + 10 + 14 * line, text, GOOD_INK, size=SMALL)
+            canvas.text(x, top + 10 + 14 * line, text, Colour.GOOD_INK, size=SMALL)
     height = 14.0 * len(ends)
     for line, x in marks:
-        canvas.line(x, top + 2 + 14 * line, x, top + height + 3, GOOD_INK, weight=0.7)
+        canvas.line(x, top + 2 + 14 * line, x, top + height + 3, Colour.GOOD_INK, weight=0.7)
     return top + height + (4 if ends else 0)
 
 
@@ -113,22 +101,22 @@ def _row(
     top: float,
     count: int,
 ) -> None:
-    colour = GOOD_INK if row.is_chosen else INK if row.dies_at is None else FAINT
-    name = fitted(row.template, NAME - 12)
+    colour = Colour.GOOD_INK if row.is_chosen else Colour.INK if row.dies_at is None else Colour.FAINT
+    name = Canvas.fitted(row.template, NAME - 12)
     canvas.text(0, top + 15, name, colour, is_bold=row.is_chosen, tip=row.template)
     for index, (left, width) in enumerate(zip(lefts, widths, strict=True)):
         if row.dies_at is not None and index > row.dies_at:
             break
         is_end = row.dies_at == index
-        canvas.box(left, top, width, HIGH, BAD if is_end else GOOD, line=PAPER)
+        canvas.box(left, top, width, HIGH, Colour.BAD if is_end else Colour.GOOD, line=Colour.PAPER)
         text = _text(row, index)
-        shown = fitted(text, width - 4, SMALL)
-        ink = BAD_INK if is_end else GOOD_INK
+        shown = Canvas.fitted(text, width - 4, SMALL)
+        ink = Colour.BAD_INK if is_end else Colour.GOOD_INK
         canvas.text(left + width / 2, top + 15, shown, ink, size=SMALL, anchor="middle", tip=text)
     if row.dies_at is None and count > len(lefts):
         end = lefts[-1] + widths[-1]
-        canvas.box(end + 2, top, 16, HIGH, OPEN, line=PAPER)
-        canvas.text(end + 10, top + 15, "…", FAINT, anchor="middle")
+        canvas.box(end + 2, top, 16, HIGH, Colour.OPEN, line=Colour.PAPER)
+        canvas.text(end + 10, top + 15, "…", Colour.FAINT, anchor="middle")
 
 
 def _text(row: TemplateTrace, index: int) -> str:
@@ -169,10 +157,10 @@ def _verdict(attempt: Attempt) -> tuple[str, str]:
             f"{k}={show_value(plain_value(v))}" for k, v in fields.items() if not k.startswith("_")
         )
         text = f"{found.message}({inside})"
-        return text if len(text) <= 120 else text[:119] + "…", GOOD_INK
+        return text if len(text) <= 120 else text[:119] + "…", Colour.GOOD_INK
     more = (
         ""
         if attempt.is_can or found.reason == "pending"
         else f"; the search goes on at offset {attempt.resumes}"
     )
-    return found.reason + more, BAD_INK
+    return found.reason + more, Colour.BAD_INK

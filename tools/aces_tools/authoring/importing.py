@@ -22,7 +22,7 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol.exchange import database_suffixes, load_database, print_source
 from aces_bus.protocol.exchange.import_dbc import read_text
 from aces_bus.protocol.exchange.import_statements import split_statements
-from aces_bus.protocol.exchange.problems import ImportProblem, excerpt
+from aces_bus.protocol.exchange.problems import ImportProblem, ProblemText
 
 from ..console import check_suffix, print_json, say, write_text
 from ..options import JSON, OUTPUT, STRICT, Arguments, argument, flag
@@ -114,7 +114,7 @@ def dbc_losses(path: str) -> list[ImportProblem]:
         if statement.word == "BA_":
             attribute = _ATTRIBUTE.match(statement.text)
             if attribute is not None and attribute[1] not in _TAKEN:
-                what = f"the attribute {excerpt(attribute[1])}"
+                what = f"the attribute {ProblemText.excerpt(attribute[1])}"
         else:
             what = next((kind for pattern, kind in _KINDS if pattern.match(statement.text)), "")
         if what:

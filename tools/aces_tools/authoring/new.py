@@ -20,7 +20,7 @@ from pathlib import Path
 from string import Template
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.exchange.names import TAKEN_BY_CODE
+from aces_bus.protocol.exchange.names import PythonNames
 
 from ..console import print_json, say_note
 from ..options import JSON, OUTPUT, Arguments, argument
@@ -90,7 +90,12 @@ def _check(name: str) -> None:
         wrong = "a plain name has ASCII letters, digits and underscores, and begins with a letter"
     elif name != name.lower():
         wrong = f"names of protocols are in lower case: {name.lower()}"
-    elif keyword.iskeyword(name) or keyword.issoftkeyword(name) or name in TAKEN_BY_CODE or name in TAKEN:
+    elif (
+        keyword.iskeyword(name)
+        or keyword.issoftkeyword(name)
+        or name in PythonNames.TAKEN_BY_CODE
+        or name in TAKEN
+    ):
         wrong = "that is a word of Python or of the spec itself"
     elif name in sys.stdlib_module_names or name in PACKAGES:
         wrong = "a module of that name would hide one that Python needs"

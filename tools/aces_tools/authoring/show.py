@@ -31,7 +31,7 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol import Message
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.protocol.draw.svg import picture_svg
-from aces_bus.protocol.draw.table import FieldRow, bits_place, field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.plan import nodes as p
 
@@ -135,7 +135,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
             f"{values[0]}…{values[-1]}" if isinstance(values, range) else ", ".join(map(str, values[:16]))
         )
         more = "" if isinstance(values, range) or len(values) <= 16 else ", …"
-        yield "one of", f"{bits_place(choice.number.bits)}: {listed}{more}"
+        yield "one of", f"{FieldRow.bits_place(choice.number.bits)}: {listed}{more}"
     if plan.lengths_by is not None:
         selector, table, other = plan.lengths_by
         yield (
@@ -153,7 +153,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
 def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[FieldRow, p.Node]]:
     """Yield the lines of the field table, each with the node that it comes from."""
     nodes = {node.path: node.node for node in (*plan.walk(), *plan.columns)}
-    for row in field_table(plan):
+    for row in FieldRow.table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
 
 

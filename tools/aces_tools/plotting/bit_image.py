@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import KEY_REMOTE, NO_TIME, widened
+from aces_bus.frame_table import NO_TIME, widened
+from aces_bus.frames import REMOTE
 from aces_bus.traffic import BusIdentifier, identifier_groups
 
 from .series import Array
@@ -196,7 +197,7 @@ class BitImages:
                     self.left_out.add(identifier)
                     continue
                 image = self.images[identifier] = BitImage(identifier)
-            lengths = np.zeros(len(rows), np.uint8) if identifier.key & KEY_REMOTE else table.length[rows]
+            lengths = np.zeros(len(rows), np.uint8) if identifier.key & REMOTE else table.length[rows]
             image.add(table.data[rows], lengths, bins[rows])
 
     def _fit(self, first: int, last: int) -> None:

@@ -18,7 +18,7 @@ from aces_bus.controller import Player, Trajectory, read_trajectory
 from aces_bus.controller.base import ControllerLike
 from aces_bus.controller.log import Logger
 from aces_bus.controller.motion_file import MOST_RAD
-from aces_bus.controller.reactions import ACTION_OF, Reaction, parse_reactions
+from aces_bus.controller.reactions import Reaction
 from aces_bus.controller.trip import Action
 from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
@@ -110,14 +110,14 @@ def reactions_of(
     words: dict[str, str] = {}
     for text in texts:
         kind, equals, word = text.partition("=")
-        if kind in ACTION_OF and not equals:
-            action = ACTION_OF[kind]
+        if kind in Reaction.ACTION_OF and not equals:
+            action = Reaction.ACTION_OF[kind]
         elif equals:
             words[kind] = word
         else:
             words["*"] = kind
     sources = (*robot.buses, *robot.devices, *(controller.name for controller in controllers))
-    return action, parse_reactions(words, kinds=KINDS_OF_FAULTS, sources=sources, own=own)
+    return action, Reaction.parse(words, kinds=KINDS_OF_FAULTS, sources=sources, own=own)
 
 
 def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespace) -> Player:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from aces_bus.protocol import Message, Record, Variant
-from aces_bus.protocol.draw.table import FieldRow, captured_values, field_table
+from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
@@ -84,8 +84,8 @@ class FieldFormat:
             self._leaves = [
                 (leaf, value_printer(leaf.node), leaf.node.unit) for leaf in record_leaves(self._plan)
             ]
-            captured = captured_values(self._message)
-            self._rows = {row.name: row for row in field_table(self._plan, captured)}
+            captured = FieldRow.captured(self._message)
+            self._rows = {row.name: row for row in FieldRow.table(self._plan, captured)}
         found: list[Value] = []
         for leaf, shown, unit in self._leaves:
             value = leaf.get(record)

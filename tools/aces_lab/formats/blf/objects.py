@@ -38,21 +38,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    NO_TIME,
-    REMOTE,
-    RX,
-    TX,
-    Channels,
-    Ints,
-)
+from aces_bus.frame_table import NO_TIME, Channels, FrameFlag, Ints
 from aces_bus.frames import FD_LENGTHS
-from aces_bus.recordings.text.rows import one_less
+from aces_bus.recordings.text.rows import RowText
 
 CAN_MESSAGE, CAN_ERROR, LOG_CONTAINER, CAN_ERROR_EXT, CAN_MESSAGE2 = 1, 2, 10, 73, 86
 CAN_FD_MESSAGE, CAN_FD_MESSAGE_64, CAN_FD_ERROR_64 = 100, 101, 104
@@ -112,7 +100,11 @@ _FD_LENGTH = np.isin(np.arange(256), FD_LENGTHS)
 _KEPT = np.array([(1 << 8 * count) - 1 for count in range(9)], np.uint64)
 _DLC_LENGTH = np.array(FD_LENGTHS, np.uint8)
 _FD_FLAGS = np.array(
-    [n & 1 and FD | (n >> 1 & 1) * BITRATE_SWITCH | (n >> 2) * ERROR_STATE for n in range(8)], np.uint8
+    [
+        n & 1 and FrameFlag.FD | (n >> 1 & 1) * FrameFlag.BITRATE_SWITCH | (n >> 2) * FrameFlag.ERROR_STATE
+        for n in range(8)
+    ],
+    np.uint8,
 )
 _VERSIONS = (1, 2, 3)
 #: An instant beyond is not a time; and so no sum leaves 63 bits.
@@ -249,10 +241,10 @@ def _kind(
     frames = read(objects)
     ids = frames.id & _ID
     if int(frames.id.max()) > int(_ID):
-        odd = (frames.id & _NO_MEANING != 0) & (frames.flags & ERROR == 0)
+        odd = (frames.id & _NO_MEANING != 0) & (frames.flags & FrameFlag.ERROR == 0)
         objects.check(odd, lambda row: f"identifier {int(frames.id[row]):#010x} has bits that mean nothing")
     if int(ids.max()) > 0x7FF:
-        wide = (ids > 0x7FF) & ((frames.flags & (EXTENDED | ERROR)) == 0)
+        wide = (ids > 0x7FF) & ((frames.flags & (FrameFlag.EXTENDED | FrameFlag.ERROR)) == 0)
         objects.check(wide, lambda row: f"identifier {int(ids[row]):#x} has more than 11 bits")
     time = _time(objects, start_ns)
     channel = _channels(frames.channel, channels)
@@ -300,7 +292,7 @@ def _message(objects: _Objects) -> _Frames:
         out |= _extended(identifier)
     remote = flags >= 0x80
     if remote.any():
-        out |= remote * np.uint8(REMOTE)
+        out |= remote * np.uint8(FrameFlag.REMOTE)
         given = np.where(remote, np.uint8(0), length)
     return _Frames(objects.field(0, "<u2"), identifier, out, length, objects.rows(8, 8, given))
 
@@ -311,7 +303,7 @@ def _error(objects: _Objects) -> _Frames:
     return _Frames(
         objects.field(0, "<u2"),
         np.zeros(objects.count, np.uint32),
-        zeros | np.uint8(ERROR),
+        zeros | np.uint8(FrameFlag.ERROR),
         zeros,
         data,
     )
@@ -321,7 +313,7 @@ def _error_ext(objects: _Objects) -> _Frames:
     identifier, code = objects.field(16, "<u4"), objects.field(10, "u1")
     objects.check(code > 15, lambda row: f"length code {int(code[row])} does not exist")
     length = np.minimum(code, np.uint8(8))
-    flags = _extended(identifier) | np.uint8(ERROR)
+    flags = _extended(identifier) | np.uint8(FrameFlag.ERROR)
     return _Frames(objects.field(0, "<u2"), identifier, flags, length, objects.rows(24, 8, length))
 
 
@@ -359,8 +351,8 @@ def _fd_message_64(objects: _Objects) -> _Frames:
 
 def _fd_error_64(objects: _Objects) -> _Frames:
     identifier, length = objects.field(12, "<u4"), objects.field(2, "u1")
-    out = _extended(identifier) | np.uint8(ERROR)
-    out |= (length > 8) * np.uint8(FD)
+    out = _extended(identifier) | np.uint8(FrameFlag.ERROR)
+    out |= (length > 8) * np.uint8(FrameFlag.FD)
     _without_further(objects, objects.field(10, "u1"))
     remote = np.zeros(objects.count, bool)
     return _with_data(
@@ -385,7 +377,7 @@ def _with_data(
     offset: int,
 ) -> _Frames:
     """Return frames that may be FD: with a length code and a number of data bytes."""
-    fd = (flags & FD) != 0
+    fd = (flags & FrameFlag.FD) != 0
     objects.check(code > 15, lambda row: f"length code {int(code[row])} does not exist")
     objects.check(remote & fd, lambda row: "a remote frame exists only in classic CAN")
     asked = _DLC_LENGTH[np.minimum(code, np.uint8(8))]
@@ -398,26 +390,26 @@ def _with_data(
         ),
     )
     stated = np.where(fd, _DLC_LENGTH[np.minimum(code, np.uint8(15))], asked)
-    differ = ~remote & (flags & ERROR == 0) & (length != stated)
+    differ = ~remote & (flags & FrameFlag.ERROR == 0) & (length != stated)
     objects.check(
         differ,
         lambda row: (
             f"length code {int(code[row])} means {int(stated[row])} bytes, and {int(length[row])} are announced"
         ),
     )
-    flags = flags | remote * np.uint8(REMOTE)
+    flags = flags | remote * np.uint8(FrameFlag.REMOTE)
     width = 64 if int(length.max()) > 8 else 8
     lengths = np.where(remote | impossible, 0, length).astype(np.int64)
     return _Frames(channel, identifier, flags, length, objects.rows(offset, width, lengths))
 
 
 def _extended(identifier: Ints) -> Ints:
-    flags: Ints = ((identifier & _EXTENDED_ID) != 0) * np.uint8(EXTENDED)
+    flags: Ints = ((identifier & _EXTENDED_ID) != 0) * np.uint8(FrameFlag.EXTENDED)
     return flags
 
 
 def _way(sent: Ints) -> Ints:
-    flags: Ints = (sent != 0) * np.uint8(TX - RX) + np.uint8(RX)
+    flags: Ints = (sent != 0) * np.uint8(FrameFlag.TX - FrameFlag.RX) + np.uint8(FrameFlag.RX)
     return flags
 
 
@@ -433,10 +425,10 @@ def _channels(given: Ints, channels: Channels) -> Ints:
     """Return numbers in a log, which count from 1, as numbers of the channels that are named from 0."""
     first = int(given[0])
     if (given == first).all():
-        return np.full(len(given), channels.number(one_less(first)), np.uint16)
+        return np.full(len(given), channels.number(RowText.one_less(first)), np.uint16)
     seen = np.flatnonzero(np.bincount(given))
     table = np.zeros(int(seen[-1]) + 1, np.uint16)
-    table[seen] = [channels.number(one_less(number)) for number in seen.tolist()]
+    table[seen] = [channels.number(RowText.one_less(number)) for number in seen.tolist()]
     return table[given]
 
 

@@ -37,7 +37,7 @@ from aces_bus.errors import CaptureError
 from aces_bus.frame_table import Ints, joined_tables
 from aces_bus.recordings.base import CanRecording, keep_freed_memory
 from aces_bus.recordings.inflate import inflate_whole
-from aces_bus.recordings.merge import merge_in_order
+from aces_bus.recordings.merge import Merge
 from aces_bus.recordings.source import ByteSource
 from aces_bus.recordings.unpack import up_to_damage
 
@@ -255,7 +255,7 @@ class BlfCapture(CanRecording):
         self._objects += len(begins)
         if not found.frames:
             return FrameTable.empty(self.channels)
-        table = merge_in_order(
+        table = Merge.in_order(
             len(begins), [places for places, _ in found.frames], [part for _, part in found.frames]
         )
         self.frames += len(table)

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, REMOTE, TX, Ints, widened
+from aces_bus.frame_table import FrameFlag, Ints, widened
 from aces_bus.recordings.write.base import (
     DLC_OF_LENGTH,
     EARLIEST,
@@ -116,7 +116,7 @@ class BlfWriter(StartedWriter):
         return first - first % 1_000_000
 
     def _count(self, table: FrameTable, offsets: Ints) -> None:
-        is_long = (table.flags & ERROR != 0) & (table.length > 8)
+        is_long = (table.flags & FrameFlag.ERROR != 0) & (table.length > 8)
         self.lose("error frames with more than 8 bytes", np.count_nonzero(is_long))
 
     def _encoded(self, table: FrameTable) -> bytes:
@@ -184,23 +184,25 @@ def _made(kind: np.dtype[Any], table: FrameTable, offsets: Ints, channels: Ints)
     made["header_size"], made["header_version"] = 32, 1
     made["size"], made["type"], made["time_unit"] = kind.itemsize, _TYPES[kind], _NANOSECONDS
     made["time"], made["channel"] = offsets, channels
-    made["id"] = np.where(table.flags & EXTENDED, table.id | np.uint32(1 << 31), table.id)
+    made["id"] = np.where(table.flags & FrameFlag.EXTENDED, table.id | np.uint32(1 << 31), table.id)
     made["length"] = table.length
     return made
 
 
 def _classic(table: FrameTable, offsets: Ints, channels: Ints) -> npt.NDArray[Any]:
     made = _made(_CLASSIC, table, offsets, channels)
-    made["flags"] = table.flags // TX + 0x80 * (table.flags & REMOTE != 0)
+    made["flags"] = table.flags // FrameFlag.TX + 0x80 * (table.flags & FrameFlag.REMOTE != 0)
     made["data"] = table.data[:, :8]
     return made
 
 
 def _fd(table: FrameTable, offsets: Ints, channels: Ints) -> npt.NDArray[Any]:
     made = _made(_FD, table, offsets, channels)
-    made["flags"] = table.flags // TX
+    made["flags"] = table.flags // FrameFlag.TX
     made["dlc"] = DLC_OF_LENGTH[table.length]
-    made["fd_flags"] = 1 + 2 * (table.flags & BITRATE_SWITCH != 0) + 4 * (table.flags & ERROR_STATE != 0)
+    made["fd_flags"] = (
+        1 + 2 * (table.flags & FrameFlag.BITRATE_SWITCH != 0) + 4 * (table.flags & FrameFlag.ERROR_STATE != 0)
+    )
     made["data"] = widened(table.data, 64)
     return made
 

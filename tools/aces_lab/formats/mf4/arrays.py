@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NamedTuple
 from aces_bus import FrameTable
 from aces_bus.frame_table import Ints
 from aces_bus.recordings.base import CanRecording
-from aces_bus.recordings.merge import KeyedTable, merge_by_key
+from aces_bus.recordings.merge import KeyedTable, Merge
 
 from .blocks import PROGRAM
 from .data import Bytes, Sorted, Variable, numbers_of, record_arrays
@@ -140,7 +140,7 @@ class BusLog:
                 frames = self._frames[index : index + len(stream.groups)]
                 index += len(stream.groups)
                 sources += self._sources(stream, frames, store, capture, lose)
-            yield from merge_by_key(sources)
+            yield from Merge.by_key(sources)
         if self._tree.joined_at:
             capture.lines += 1
             lose(capture.lines, JOINED.format(self._tree.joined_at), 1)

@@ -12,24 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    NO_TIME,
-    REMOTE,
-    RX,
-    TX,
-    Channels,
-    Ints,
-)
+from aces_bus.frame_table import NO_TIME, Channels, FrameFlag, Ints
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings.merge import KeyedTable
 
 #: The channels that a group of frames has one of.
-KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
+KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": FrameFlag.REMOTE, "CAN_ErrorFrame": FrameFlag.ERROR}
 _OTHERS = {
     "CAN_OverloadFrame": "CAN overload frames",
     "LIN_Frame": "LIN frames",
@@ -214,14 +202,17 @@ def piece_of(
 
     flags = np.full(n, KINDS[kind], np.uint8)
     if not is_error:
-        flags |= is_wide * np.uint8(EXTENDED)
+        flags |= is_wide * np.uint8(FrameFlag.EXTENDED)
     if is_fd is not None:
-        flags |= is_fd * np.uint8(FD)
-        for bits, flag in ((fields.bitrate_switch, BITRATE_SWITCH), (fields.error_state, ERROR_STATE)):
+        flags |= is_fd * np.uint8(FrameFlag.FD)
+        for bits, flag in (
+            (fields.bitrate_switch, FrameFlag.BITRATE_SWITCH),
+            (fields.error_state, FrameFlag.ERROR_STATE),
+        ):
             if bits is not None:
                 flags |= (is_fd & bits) * np.uint8(flag)
     if fields.is_sent is not None:
-        flags |= np.where(fields.is_sent, np.uint8(TX), np.uint8(RX))
+        flags |= np.where(fields.is_sent, np.uint8(FrameFlag.TX), np.uint8(FrameFlag.RX))
 
     carried = length if good is None else np.where(good, length, np.uint8(0))
     data = _data(fields.data, carried)

@@ -19,18 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    NO_TIME,
-    REMOTE,
-    RX,
-    TX,
-    Ints,
-)
+from aces_bus.frame_table import NO_TIME, FrameFlag, Ints
 from aces_bus.recordings.write.base import DLC_OF_LENGTH, ChannelNumbers, RecordingWriter
 
 from . import blocks as mdf
@@ -120,10 +109,10 @@ class Mf4Writer(RecordingWriter):
             return
         time = self._times(table.time)
         flags = table.flags
-        is_remote, is_error = flags & REMOTE != 0, flags & ERROR != 0
+        is_remote, is_error = flags & FrameFlag.REMOTE != 0, flags & FrameFlag.ERROR != 0
         kinds = np.where(is_error, 2, np.where(is_remote, 1, 0))
         is_wide = (table.length > 8) & ~is_remote
-        has_way = flags & (RX | TX) != 0
+        has_way = flags & (FrameFlag.RX | FrameFlag.TX) != 0
         sorts = table.channel.astype(np.int64) * 16 + kinds * 4 + is_wide * 2 + has_way
         for sort in np.unique(sorts).tolist():
             rows = np.flatnonzero(sorts == sort)
@@ -171,19 +160,19 @@ class Mf4Writer(RecordingWriter):
     def _add(self, group: _Group, table: FrameTable, time: Ints, order: Ints) -> None:
         records = np.zeros(len(table), group.layout)
         flags = table.flags
-        is_fd = flags & FD != 0
+        is_fd = flags & FrameFlag.FD != 0
         records["time"], records["ID"], records["BusChannel"] = time, table.id, group.number
         records[ORDER] = order
-        records["IDE"] = flags & EXTENDED != 0
+        records["IDE"] = flags & FrameFlag.EXTENDED != 0
         records["DLC"] = np.where(is_fd, DLC_OF_LENGTH[table.length], table.length)
         records["DataLength"] = 0 if group.kind == "CAN_RemoteFrame" else table.length
         names = group.layout.names or ()
         if "Dir" in names:
-            records["Dir"] = flags & TX != 0
+            records["Dir"] = flags & FrameFlag.TX != 0
         if "DataBytes" in names:
             records["EDL"] = is_fd
-            records["BRS"] = flags & BITRATE_SWITCH != 0
-            records["ESI"] = flags & ERROR_STATE != 0
+            records["BRS"] = flags & FrameFlag.BITRATE_SWITCH != 0
+            records["ESI"] = flags & FrameFlag.ERROR_STATE != 0
             data: Ints = records["DataBytes"]
             width = min(data.shape[1], table.data.shape[1])
             data[:, :width] = table.data[:, :width]

@@ -24,7 +24,7 @@ import numpy as np
 
 from aces_bus import FrameTable
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import NO_TIME, RX, TX, Ints
+from aces_bus.frame_table import NO_TIME, FrameFlag, Ints
 from aces_bus.recordings.source import ByteSource
 
 from .reader import MAX_BLOCK, PacketCapture, as_tables, padded, run_length
@@ -48,7 +48,7 @@ _SMALLEST = {SECTION: 28, INTERFACE: 20, OLD_PACKET: 32, SIMPLE: 16, ENHANCED: 3
 _IF_NAME, _IF_RESOLUTION, _IF_OFFSET = 2, 9, 14
 _DROPPED_BY_INTERFACE, _DROPPED_BY_SYSTEM = 5, 7
 _PACKET_FLAGS = 2
-_WAYS = {1: RX, 2: TX}
+_WAYS = {1: FrameFlag.RX, 2: FrameFlag.TX}
 NAME_BYTES = 256
 #: A hostile section may describe more; those are unreadable.
 _INTERFACES = 1 << 16
@@ -268,7 +268,11 @@ class PcapngCapture(PacketCapture):
         for interface in np.unique(packets.interface[is_cooked_number]).tolist():
             channel[packets.interface == interface] = self.channels.number(f"if{interface}")
         ways = self._ways(buffer, view, at, size, starts + total - 4, is_simple)
-        np.bitwise_or(packets.flags, np.where(packets.flags & (RX | TX) == 0, ways, 0), out=packets.flags)
+        np.bitwise_or(
+            packets.flags,
+            np.where(packets.flags & (FrameFlag.RX | FrameFlag.TX) == 0, ways, 0),
+            out=packets.flags,
+        )
         return as_tables(packets, is_good, time, channel[is_good], self)
 
     def _flush_without(
@@ -304,7 +308,7 @@ class PcapngCapture(PacketCapture):
         halves = first.view(self._order + "u2").astype(np.int64)
         is_flags = (halves[:, 0] == _PACKET_FLAGS) & (halves[:, 1] == 4)
         way = first.view(self._order + "u4")[:, 1] & 3
-        ways[rows[is_flags]] = np.array([0, RX, TX, 0], np.uint8)[way[is_flags]]
+        ways[rows[is_flags]] = np.array([0, FrameFlag.RX, FrameFlag.TX, 0], np.uint8)[way[is_flags]]
         for row in rows[~is_flags & (halves[:, 0] != 0)].tolist():
             for code, value in _options(self._order, buffer[int(options[row]) : int(end[row])], 0):
                 if code == _PACKET_FLAGS and len(value) == 4:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
+from aces_bus.frame_table import FrameFlag, Ints
 from aces_bus.frames import FD_LENGTHS
 
 SOCKETCAN, COOKED, COOKED2 = 227, 113, 276
@@ -108,7 +108,7 @@ def decode_socketcan(view: Ints, starts: Ints, sizes: Ints, links: Ints, is_litt
             else:
                 kind, protocol[rows] = head[:, 10], big(head, 0, 2)
                 interface[rows] = big(head, 4, 4)
-            flags[rows] = np.where(kind == _SENT_BY_US, TX, RX)
+            flags[rows] = np.where(kind == _SENT_BY_US, FrameFlag.TX, FrameFlag.RX)
             starts[rows] += header
             sizes[rows] -= header
         status[(status == GOOD) & is_cooked & (protocol == _PROTOCOL_XL)] = IS_XL
@@ -139,11 +139,15 @@ def decode_socketcan(view: Ints, starts: Ints, sizes: Ints, links: Ints, is_litt
         if wrong.any():
             status[(status == GOOD) & wrong] = code
 
-    flags |= is_extended * np.uint8(EXTENDED) | is_remote * np.uint8(REMOTE) | is_error * np.uint8(ERROR)
+    flags |= (
+        is_extended * np.uint8(FrameFlag.EXTENDED)
+        | is_remote * np.uint8(FrameFlag.REMOTE)
+        | is_error * np.uint8(FrameFlag.ERROR)
+    )
     if is_fd.any():
-        flags[is_fd] |= FD
-        flags[is_fd & (marks & BRS != 0)] |= BITRATE_SWITCH
-        flags[is_fd & (marks & ESI != 0)] |= ERROR_STATE
+        flags[is_fd] |= FrameFlag.FD
+        flags[is_fd & (marks & BRS != 0)] |= FrameFlag.BITRATE_SWITCH
+        flags[is_fd & (marks & ESI != 0)] |= FrameFlag.ERROR_STATE
     carried = np.where(is_remote | (status != GOOD), 0, length)
     width = 64 if carried.max(initial=0) > 8 else 8
     data = np.array(gather_rows(view, starts + 8, width))

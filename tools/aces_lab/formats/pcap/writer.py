@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from aces_bus import FrameTable
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
+from aces_bus.frame_table import FrameFlag, Ints
 from aces_bus.recordings.write.base import FrameWriter, records_in_order
 
 from .pcapng import BYTE_ORDER, ENHANCED, INTERFACE, NAME_BYTES, SECTION, interface_name
@@ -53,7 +53,9 @@ class PcapngWriter(FrameWriter):
 
     def _encoded(self, table: FrameTable) -> bytes:
         interface = self._numbers(table)
-        is_large = (table.flags & FD != 0) | (table.length > 8) & (table.flags & REMOTE == 0)
+        is_large = (table.flags & FrameFlag.FD != 0) | (table.length > 8) & (
+            table.flags & FrameFlag.REMOTE == 0
+        )
         parts = ((np.flatnonzero(is_large), _LARGE), (np.flatnonzero(~is_large), _CLASSIC))
         return records_in_order(
             len(table),
@@ -83,7 +85,7 @@ class PcapngWriter(FrameWriter):
     def _blocks(self, table: FrameTable, interface: Ints, kind: np.dtype[np.void]) -> Ints:
         blocks = np.zeros(len(table), kind)
         flags = table.flags
-        is_remote = flags & REMOTE != 0
+        is_remote = flags & FrameFlag.REMOTE != 0
         time = self._epoch_times(table)
         blocks["type"], blocks["total"], blocks["again"] = ENHANCED, kind.itemsize, kind.itemsize
         blocks["interface"] = interface
@@ -91,16 +93,16 @@ class PcapngWriter(FrameWriter):
         blocks["captured"] = blocks["original"] = FD_SIZE if kind is _LARGE else CLASSIC_SIZE
         blocks["id"] = (
             table.id.astype(np.uint32)
-            | (flags & EXTENDED != 0) * np.uint32(EXTENDED_BIT)
+            | (flags & FrameFlag.EXTENDED != 0) * np.uint32(EXTENDED_BIT)
             | is_remote * np.uint32(REMOTE_BIT)
-            | (flags & ERROR != 0) * np.uint32(ERROR_BIT)
+            | (flags & FrameFlag.ERROR != 0) * np.uint32(ERROR_BIT)
         )
         blocks["length"] = self._remote_lengths(table)
-        is_fd = flags & FD != 0
+        is_fd = flags & FrameFlag.FD != 0
         blocks["fd"] = (
             is_fd * np.uint8(FDF)
-            | (flags & BITRATE_SWITCH != 0) * np.uint8(BRS)
-            | (flags & ERROR_STATE != 0) * np.uint8(ESI)
+            | (flags & FrameFlag.BITRATE_SWITCH != 0) * np.uint8(BRS)
+            | (flags & FrameFlag.ERROR_STATE != 0) * np.uint8(ESI)
         )
         data: Ints = blocks["data"]
         width = min(table.data.shape[1], data.shape[1])
@@ -108,7 +110,7 @@ class PcapngWriter(FrameWriter):
         if is_remote.any():
             data[is_remote] = 0
         blocks["option"], blocks["size"] = 2, 4
-        blocks["way"] = (flags & RX != 0) * 1 + (flags & TX != 0) * 2
+        blocks["way"] = (flags & FrameFlag.RX != 0) * 1 + (flags & FrameFlag.TX != 0) * 2
         return blocks
 
 
