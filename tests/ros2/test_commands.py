@@ -5,9 +5,7 @@ All in one process and in virtual time: DDS hands messages between participants 
 
 from __future__ import annotations
 
-import itertools
 import math
-import os
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
@@ -19,11 +17,10 @@ from aces_bus.robot import Runner, parse_robot, run_virtual
 from aces_lab.ros2.commands import COMMANDS_TOPIC, TRAJECTORY_TOPIC, Ros2Commands
 from aces_lab.ros2.view import Ros2View
 from tests.robot.leg import ROBOT, Wish
+from tests.ros2.domains import DOMAINS
 from tests.ros2.peer import Peer, idl, stamped
 
 pytestmark = pytest.mark.filterwarnings("error")
-#: A domain for each stage, far from those of other processes that run these tests.
-DOMAINS = itertools.cycle((os.getpid() * 7 + n) % 100 for n in range(100))
 
 
 def command(

@@ -21,8 +21,8 @@ from aces_bus.robot import run_virtual
 from aces_lab.ros2.dds import DdsDomain, configuration
 from aces_lab.ros2.messages import JOINT_STATE
 from aces_lab.ros2.view import Ros2View
+from tests.ros2.domains import DOMAINS
 from tests.ros2.peer import JAZZY, LOOPBACK
-from tests.ros2.test_commands import DOMAINS
 
 ROOT = Path(__file__).parents[2]
 #: The longest that a process may take (s), on any machine.

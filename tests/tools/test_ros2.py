@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from tests.ros2.test_commands import DOMAINS
+from tests.ros2.domains import DOMAINS
 from tests.tools.conftest import Aces
 
+pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'aces-bus[ros2]'")
 rosbags: Any = pytest.importorskip("rosbags.highlevel", reason="needs rosbags (make test-oracles)")
 
 
