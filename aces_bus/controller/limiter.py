@@ -209,7 +209,7 @@ class Limiter:
         if self.rest is not None and self.given is not None:
             return self.rest
         size = abs(self.speed)
-        if size <= self.acceleration * dt:
+        if self.given is None or size <= self.acceleration * dt:
             return self.given
         braking = size * (size / self.acceleration - dt) / 2.0
         return self._inside(self.given + math.copysign(braking, self.speed), self.given)

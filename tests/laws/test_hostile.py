@@ -38,10 +38,11 @@ def wires(link: str) -> list[tuple[Variant, Way]]:
         elif protocol.link != "can" and link != "can":
             wires = wires_of(protocol)[: None if name in REGISTERED else 1]
             # The first of each set of framings: what is sent is made of them alone.
-            found += {
+            first: dict[Any, tuple[Variant, Way]] = {
                 frozenset(m.framing for m in variant.messages_for(way)): (variant, way)
                 for variant, way in reversed(wires)
-            }.values()
+            }
+            found += first.values()
     return found
 
 

@@ -105,9 +105,10 @@ def test_every_combination_of_bits() -> None:
         for _ in range(4):  # enough for a shape that comes rarely to become one that is printed
             (record,) = scanner.feed(packet)
             for name in made["Binary"].fields:
-                value = getattr(record, name)
-                is_vector = name == "acceleration" and value is not None
-                assert ({"x": value.x, "y": value.y} if is_vector else value) == given.get(name), (
+                value: Any = getattr(record, name)
+                if name == "acceleration" and value is not None:
+                    value = {"x": value.x, "y": value.y}
+                assert value == given.get(name), (
                     common, imu, name,
                 )  # fmt: skip
 

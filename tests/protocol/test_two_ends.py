@@ -52,7 +52,7 @@ def traffic(spec: Protocol, seed: int) -> bytes:
 
 
 @pytest.mark.parametrize("sync", [b"$", b"\r", b"\r\n"])
-@pytest.mark.parametrize("check", CHECKS, ids=str)
+@pytest.mark.parametrize("check", CHECKS, ids=["bare", "sum", "xor", "crc", "long crc"])
 def test_scanner_columns_and_reference_agree(check: Check | None, sync: bytes) -> None:
     """On any mixture of both ends, whatever the chunks; most packets are found."""
     spec = lines(check, sync)
