@@ -146,22 +146,10 @@ class RunFaults:
                 self.to_park[supervisor.name] = trip
             if self.hold_s is not None:
                 self.run.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
-            self._hold(supervisor, trip)
-            return
+            return  # its guard has the door hold what it drives
         self.stopped[supervisor.name] = trip.reason
         if self.run.drives:
             self._stop(supervisor.name, self.run.driven(supervisor))
-
-    def _hold(self, supervisor: Supervisor, trip: Trip) -> None:
-        """Hold set-points where they are, at the controller's rate, whether it still runs or not."""
-
-        def again() -> None:
-            if self.run.phase == "running" and supervisor.guard.tripped is trip:
-                self.run.give(supervisor.guard.tick(self.run.clock.now()))
-                self.run.clock.call_in(period, again)
-
-        period = round(1e9 / supervisor.rate_hz)
-        self.run.clock.call_in(period, again)
 
     def _let_go(self, supervisor: Supervisor, trip: Trip) -> None:
         """Let go after the stated time of holding."""

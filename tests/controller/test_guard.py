@@ -137,8 +137,9 @@ def test_what_is_not_finite_never_gets_through(value: Any) -> None:
             {"A", "B"} if n % 5 == 4 else {"B"}
         )
     assert guard.clipped("A").not_finite == 40
-    assert [event.kind for event in heard] == ["not finite"]
+    assert [(event.kind, event.instant, event.source) for event in heard] == [("not finite", 0, "guard")]
     assert "A" in heard[0].detail
+    assert isinstance(heard[0].instant, int)
 
 
 def test_what_is_forgotten_is_the_speed_too() -> None:
@@ -210,6 +211,7 @@ def test_the_dead_man_holds_within_the_limits_and_lets_go() -> None:
     assert guard.tripped is None
     assert abs(out["A"] - held[-1]) <= 5.0 * 2e-4
     assert [event.kind for event in heard] == ["trip", "late", "clipped"]
+    assert {event.source for event in heard} == {"guard"}
 
 
 @pytest.mark.parametrize("action", ["zero duty", "disable"])
@@ -327,3 +329,13 @@ def test_a_hold_of_a_speed_is_standing_still() -> None:
     guard.apply(0, {"wheel": 2.0})
     guard.trip("enough", "hold")
     assert guard.tick(10 * MS) == {"wheel": 0.0}
+
+
+def test_five_set_points_that_are_no_numbers_are_a_fault_of_this_instant() -> None:
+    """Who reacts to faults is told the instant and whose set-points they were."""
+    told: list[ControlEvent] = []
+    guard = Guard({"A": Bounds()}, period_s=0.01, name="walk")
+    guard.fault = told.append
+    for n in range(5):
+        guard.apply(n * 10 * MS, {"A": math.nan})
+    assert [(event.kind, event.instant, event.source) for event in told] == [("not finite", 40 * MS, "walk")]

@@ -77,6 +77,15 @@ def test_a_stop_leaves_at_once(robot: VirtualRobot) -> None:
     assert not any(device.is_driven for device in robot.devices.values())
 
 
+def test_a_stop_says_how_far_it_is(robot: VirtualRobot) -> None:
+    """Its progress is the share of the devices that have stopped."""
+    robot.twins["B"].power(False)
+    job = stop(robot)
+    assert job.progress == 0.0
+    robot.advance(0.2)
+    assert job.progress == 0.5
+
+
 def test_a_stop_is_repeated_until_the_device_says_so(
     robot: VirtualRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

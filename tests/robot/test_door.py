@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from aces_bus.controller import Bounds, Guard, Supervisor
-from aces_bus.robot import Runner, parse_robot, run_virtual
+from aces_bus.errors import CallerError
+from aces_bus.robot import Runner, VirtualRobot, parse_robot, run_virtual
+from tests.device.fan import ROBOT as FAN_ROBOT
+from tests.device.fan import drivers, robot_of
 from tests.robot.leg import COUNTS, MS, RATE, ROBOT, TICK_S, WRITERS, Leg, Wish, check_sent
 
 # ---------------------------------------------------------------------- each writer against each rule
@@ -197,3 +200,26 @@ def test_bounds_that_no_set_point_can_keep_are_refused() -> None:
     assert left(run, 0.1) == []
     assert "lower must not be above upper" in run.held["walk"]
     run.stop()
+
+
+def test_a_controller_s_signals_are_its_supervisor_s_before_the_first_step() -> None:
+    """A trip of the door bars what nobody owns, and leaves the controller's own to its supervisor."""
+    robot, problems = parse_robot(ROBOT)
+    assert robot is not None, problems
+    run = run_virtual(robot, [Wish("walk", writes=("HIP",))])
+    with run:
+        run.rig.door.trip("on purpose")
+        assert run.rig.door.owners == {"HIP.position": "walk"}
+        assert "HIP.position" not in run.rig.door.tripped
+        assert "KNEE.position" in run.rig.door.tripped
+
+
+def test_a_name_is_no_set_point_of_a_quantity() -> None:
+    """A text for what has a unit is refused with the value, and nothing leaves."""
+    with VirtualRobot(robot_of(FAN_ROBOT), load=drivers, rate_hz=100) as robot:
+        robot.advance(0.05)
+        with pytest.raises(CallerError, match="'fast' is not a set-point; give a finite number"):
+            robot["A.left"].set("fast")
+        assert robot.rig.door.counts("A.left").not_finite == 1
+        robot.advance(0.05)
+        assert robot.twins["A"].left == 0
