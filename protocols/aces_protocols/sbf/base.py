@@ -118,7 +118,6 @@ def sbf_groups(
         *sizes,
         *between,
         groups / Array(this.count, Struct(*fields(True))),
-        is_padded=is_padded,
         doc=doc,
         examples=EXAMPLES.get(f"{name}Longer", ()),
         **given,

@@ -1106,6 +1106,41 @@ class EndOfPVT(_Typed, frozen=True):
     """GPS week, continuous."""
     padding: bytes
 
+class _BaseVectorCartLonger_vectors_misc(FlagSet):
+    base_arp: bool
+    phase_centre: bool
+
+class _BaseVectorCartLonger_vectors(Part, frozen=True):
+    satellites: int
+    error: Literal["none", "few_measurements", "few_ephemerides", "dop", "residuals", "no_convergence", "outliers", "export", "few_corrections", "no_base", "not_fixed", "no_datum"] | int
+    mode: Any
+    misc: _BaseVectorCartLonger_vectors_misc
+    dx: float | None
+    dy: float | None
+    dz: float | None
+    v_dx: float | None
+    v_dy: float | None
+    v_dz: float | None
+    azimuth: float | None
+    elevation: float | None
+    reference: int | None
+    correction_age: float | None
+    signals: int
+    more: bytes
+
+class BaseVectorCartLonger(_Typed, frozen=True):
+    """BaseVectorCart of a later revision, whose groups are longer.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    vectors: tuple[_BaseVectorCartLonger_vectors, ...]
+    padding: bytes
+
 class _BaseVectorCart_vectors_mode(Part, frozen=True):
     solution: Literal["none", "stand_alone", "differential", "fixed_location", "rtk_fixed", "rtk_float", "sbas", "moving_base_fixed", "moving_base_float", "ppp"] | int
     auto_base: int
@@ -1144,8 +1179,42 @@ class BaseVectorCart(_Typed, frozen=True):
     week: int | None
     """GPS week, continuous."""
     count: int
-    size: int
     vectors: tuple[_BaseVectorCart_vectors, ...]
+
+class _BaseVectorGeodLonger_vectors_misc(FlagSet):
+    base_arp: bool
+    phase_centre: bool
+
+class _BaseVectorGeodLonger_vectors(Part, frozen=True):
+    satellites: int
+    error: Literal["none", "few_measurements", "few_ephemerides", "dop", "residuals", "no_convergence", "outliers", "export", "few_corrections", "no_base", "not_fixed", "no_datum"] | int
+    mode: Any
+    misc: _BaseVectorGeodLonger_vectors_misc
+    east: float | None
+    north: float | None
+    up: float | None
+    v_east: float | None
+    v_north: float | None
+    v_up: float | None
+    azimuth: float | None
+    elevation: float | None
+    reference: int | None
+    correction_age: float | None
+    signals: int
+    more: bytes
+
+class BaseVectorGeodLonger(_Typed, frozen=True):
+    """BaseVectorGeod of a later revision, whose groups are longer.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    vectors: tuple[_BaseVectorGeodLonger_vectors, ...]
+    padding: bytes
 
 class _BaseVectorGeod_vectors_mode(Part, frozen=True):
     solution: Literal["none", "stand_alone", "differential", "fixed_location", "rtk_fixed", "rtk_float", "sbas", "moving_base_fixed", "moving_base_float", "ppp"] | int
@@ -1185,8 +1254,54 @@ class BaseVectorGeod(_Typed, frozen=True):
     week: int | None
     """GPS week, continuous."""
     count: int
-    size: int
     vectors: tuple[_BaseVectorGeod_vectors, ...]
+
+class _MeasEpochLonger_common(FlagSet):
+    multipath_mitigation: bool
+    smoothed: bool
+    aligned: bool
+    clock_steering: bool
+    high_dynamics: bool
+    e6b: bool
+    scrambled: bool
+
+class _MeasEpochLonger_satellites_others(Part, frozen=True):
+    signal: Any
+    lock_time: int | None
+    cn0: float | None
+    offsets: Any
+    more: bytes
+
+class _MeasEpochLonger_satellites(Part, frozen=True):
+    channel: int
+    signal: Any
+    satellite: int
+    code: Any
+    doppler: float | None
+    carrier: float | None
+    cn0: float | None
+    lock_time: int | None
+    info: Any
+    count: Any
+    more: bytes
+    others: tuple[_MeasEpochLonger_satellites_others, ...]
+
+class MeasEpochLonger(_Typed, frozen=True):
+    """MeasEpoch of a later revision, whose groups are longer.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    inner_size: int
+    common: _MeasEpochLonger_common
+    clock_jumps: int
+    reserved: bytes
+    satellites: tuple[_MeasEpochLonger_satellites, ...]
+    padding: bytes
 
 class _MeasEpoch_common(FlagSet):
     multipath_mitigation: bool
@@ -1240,6 +1355,42 @@ class EndOfMeas(_Typed, frozen=True):
     """Time of the GPS week. (0…4294967295 ms)"""
     week: int | None
     """GPS week, continuous."""
+    padding: bytes
+
+class _ChannelStatusLonger_channels_antennas(Part, frozen=True):
+    antenna: int
+    reserved: bytes
+    tracking: int
+    pvt: int
+    pvt_info: int
+    more: bytes
+
+class _ChannelStatusLonger_channels(Part, frozen=True):
+    satellite: int
+    frequency: int
+    reserved1: bytes
+    sky: Any
+    health: int
+    elevation: int | None
+    count: Any
+    channel: int
+    reserved2: bytes
+    more: bytes
+    antennas: tuple[_ChannelStatusLonger_channels_antennas, ...]
+
+class ChannelStatusLonger(_Typed, frozen=True):
+    """ChannelStatus of a later revision, whose groups are longer.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    inner_size: int
+    reserved: bytes
+    channels: tuple[_ChannelStatusLonger_channels, ...]
     padding: bytes
 
 class _ChannelStatus_channels_antennas(Part, frozen=True):
@@ -1381,4 +1532,168 @@ class ReceiverTime(_Typed, frozen=True):
     leap_seconds: int | None
     """-128…127 s"""
     sync: _ReceiverTime_sync
+    padding: bytes
+
+class _SatVisibilityLonger_satellites(Part, frozen=True):
+    satellite: int
+    frequency: int
+    azimuth: float | None
+    elevation: float | None
+    course: Literal["setting", "rising", "unknown"] | int
+    source: Literal["almanac", "ephemeris", "unknown"] | int
+    more: bytes
+
+class SatVisibilityLonger(_Typed, frozen=True):
+    """SatVisibility of a later revision, whose groups are longer.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    satellites: tuple[_SatVisibilityLonger_satellites, ...]
+    padding: bytes
+
+class _SatVisibility_satellites(Part, frozen=True):
+    satellite: int
+    frequency: int
+    azimuth: float | None
+    elevation: float | None
+    course: Literal["setting", "rising", "unknown"] | int
+    source: Literal["almanac", "ephemeris", "unknown"] | int
+
+class SatVisibility(_Typed, frozen=True):
+    """Where satellites above the horizon are.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    count: int
+    satellites: tuple[_SatVisibility_satellites, ...]
+
+class _InputLinkLonger_links(Part, frozen=True):
+    connection: int
+    type: int
+    age: int | None
+    bytes_received: int
+    bytes_accepted: int
+    messages_received: int
+    messages_accepted: int
+    more: bytes
+
+class InputLinkLonger(_Typed, frozen=True):
+    """InputLink of a later revision, whose groups are longer.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    links: tuple[_InputLinkLonger_links, ...]
+    padding: bytes
+
+class _InputLink_links(Part, frozen=True):
+    connection: int
+    type: int
+    age: int | None
+    bytes_received: int
+    bytes_accepted: int
+    messages_received: int
+    messages_accepted: int
+
+class InputLink(_Typed, frozen=True):
+    """What came over each connection.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    count: int
+    links: tuple[_InputLink_links, ...]
+
+class _NTRIPClientStatusLonger_clients(Part, frozen=True):
+    connection: int
+    status: Literal["sending_disabled", "initialising", "sending", "receiving", "paused", "error"] | int
+    error: int
+    info: int
+    more: bytes
+
+class NTRIPClientStatusLonger(_Typed, frozen=True):
+    """NTRIPClientStatus of a later revision, whose groups are longer.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    week: int | None
+    count: Any
+    size: int
+    clients: tuple[_NTRIPClientStatusLonger_clients, ...]
+    padding: bytes
+
+class _NTRIPClientStatus_clients(Part, frozen=True):
+    connection: int
+    status: Literal["sending_disabled", "initialising", "sending", "receiving", "paused", "error"] | int
+    error: int
+    info: int
+
+class NTRIPClientStatus(_Typed, frozen=True):
+    """Connections to casters of corrections.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    count: int
+    clients: tuple[_NTRIPClientStatus_clients, ...]
+
+class xPPSOffset(_Typed, frozen=True):
+    """How far the pulse a second was off.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    sync_age: int
+    """0…255 s"""
+    time_scale: Literal["gps", "utc", "receiver", "glonass", "galileo", "beidou"] | int
+    offset: float
+    """Of the pulse from the second. (ns)"""
+    padding: bytes
+
+class ExtEvent(_Typed, frozen=True):
+    """An event on an input pin.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    pin: int
+    polarity: Literal["rising", "falling"] | int
+    offset: float
+    """Of the event from tow. (s)"""
+    clock_bias: float | None
+    """ms"""
+    position_age: int | None
+    """0…65535 s"""
     padding: bytes
