@@ -88,7 +88,6 @@ def run(arguments: argparse.Namespace) -> int:
             return session.run()
     if sys.stdin is None or not sys.stdin.isatty():
         raise CallerError("aces jog reads keys: standard input must be a terminal, or --gamepad")
-    arguments.quiet = True  # the panel would be over the keys
     say_note(f"{jog.chosen}; ← → move, ↑ ↓ choose, blank stops, q ends")
     with _single_keys(sys.stdin.fileno()), KeyReader(sys.stdin.fileno(), jog, chose):
         return session.run()
