@@ -62,9 +62,8 @@ def ways_of(joint: str) -> tuple[Way, ...]:
 
 def arm_text(*commands: str) -> str:
     """Return the arm's file, whose joints are commanded so, in their order; "position" where nothing is said, or `FREE`."""
-    text = FILE.read_text(encoding="utf-8").replace(
-        'physics = "urdf"', ""
-    )  # the laws are of joints by themselves
+    # The laws are of joints by themselves, and the file is read in other folders, too.
+    text = FILE.read_text(encoding="utf-8").replace('physics = "urdf"', "").replace('body = "arm.urdf"', "")
     for joint, command in zip(DEVICE_OF, commands, strict=False):
         if command == FREE:
             assert GAINS in text

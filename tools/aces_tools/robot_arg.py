@@ -248,16 +248,17 @@ def open_robot(
 
     Raises `CallerError` naming the bus that cannot be opened.
     """
+    physics = getattr(arguments, "physics", None)  # a verb without twins has no such option
     if arguments.virtual:
         from aces_bus.robot import VirtualRobot
 
         if arguments.bus or arguments.interface:
             raise CallerError("--virtual has no buses; leave --bus and -i away")
-        seed, physics = arguments.seed, arguments.physics
+        seed = arguments.seed
         with VirtualRobot(robot, rate_hz=rate_hz, seed=seed, rules=rules, pose=pose, physics=physics) as made:
             yield Opened(robot, made.rig, made.clock, made)
         return
-    if pose or arguments.physics:
+    if pose or physics:
         what = "pose" if pose else "physics"
         raise CallerError(f"--{what} is for twins: add --virtual, or give it to aces sim")
     options = bus_options(robot, arguments)
