@@ -8,6 +8,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -386,7 +387,11 @@ def test_standard_input(arm: str, tmp_path: Path) -> None:
     running.stdin.flush()
     assert b"rubbish" in running.stderr.readline()  # it has read what came
     running.send_signal(signal.SIGINT)
+    # A signal between Python's last look and the system call interrupts no read: then the pipe's end does.
+    later = threading.Timer(20, running.stdin.close)
+    later.start()
     said = running.stderr.read().decode()
+    later.cancel()
     running.stdin.close()
     assert running.wait(60) == 0
     running.stderr.close()
