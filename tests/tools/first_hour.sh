@@ -89,6 +89,10 @@ says 'seconds=2.000' 'aces run -r hubo2plus examples/walk_controller.py --virtua
 left_out 'aces run -r examples/minihubo_like_hubo.toml examples/walk_controller.py --virtual' 'does not end by itself'
 says 'seconds=2.000' 'aces run -r examples/minihubo_like_hubo.toml examples/walk_controller.py --virtual --for 2s' # instead
 left_out 'aces run -r hubo2plus examples/walk_controller.py --replay walk.blf' 'needs a recording of a whole walk'
+says 'a damiao for each' 'aces robot import examples/arm.urdf -o arm.toml'
+left_out 'aces run -r quadruped examples/quadruped_walk.py --virtual --physics mujoco' 'needs MuJoCo'
+left_out 'aces run -r hubo2plus examples/walk_controller.py --virtual --ros2' 'needs cyclonedds'
+left_out 'aces jog -r arm.toml --virtual' 'needs a terminal'
 
 # ---------------------------------------------------------------------- the tutorial, and Python in six lines
 
