@@ -92,7 +92,7 @@ demo: $(VENV)/.demo ## decode the captures in examples/captures, draw a message;
 
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q
 
-test: $(VENV)/.dev ## run the tests but the slow ones (about three minutes on two cores); ARGS="-k name" to choose
+test: $(VENV)/.dev ## run the tests but the slow ones (some four minutes on two cores); ARGS="-k name" to choose
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-slow: $(VENV)/.dev ## the tests that take over half a second each: programs beside one another, long simulated runs
