@@ -1,7 +1,7 @@
 """Following error: a joint that does not go where it was sent trips.
 
 Theory. Where a joint lags (a filter, a slow loop), it is where it was sent a moment ago. So the error is the distance to the
-nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none. A joint that takes its own time
+nearest set-point of the last `time_s`, not to the newest: a shorter lag counts as no error. A joint that takes its own time
 on a long way (a servo with a speed of its own) comes nearer meanwhile; one that is held up does not.
 """
 

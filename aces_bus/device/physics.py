@@ -1,7 +1,7 @@
 """A body outside of the twins: what motors move when joints hang together, have weight, and touch the ground.
 
 1. `Physics` is what a simulator offers: torques in; positions, velocities and contacts out; a step is a millisecond.
-2. `MovedBody` is its one clock: whoever asks one motor for its state lets all motors and the body live up to that instant.
+2. `MovedBody` is its one clock: asking one motor for its state advances all motors and the body to that instant.
    Nothing is computed before it is asked for, and who asks changes nothing: the same seed is the same run.
 3. SI, by the names and directions of the robot's file: rad, rad/s, N·m (m, m/s, N for joints that slide).
 """

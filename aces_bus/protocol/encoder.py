@@ -126,7 +126,7 @@ class Encoder:
     ) -> Callable[[Mapping[str, Any]], Frame | bytes | tuple[Frame | bytes, ...]]:
         """Return a `packet` function of one message for one device: its fields `tags` are prepared, and need
         not be given again. Of a message that a transport carries it returns a tuple of frames. Rolling counters that are
-        not given go on from `counts`, which is kept by whoever sends.
+        not given continue from `counts`, which the sender keeps.
         """
         quick = self._quick.get(message.name)
 

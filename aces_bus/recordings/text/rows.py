@@ -251,7 +251,7 @@ class LineCapture(CanRecording):
 
 
 class RowText:
-    """Cells of a row as values; what is none raises `UnreadableRow`."""
+    """Cells of a row as values; a cell that is not a value raises `UnreadableRow`."""
 
     #: Starts of recordings lie within ±2^62 ns of 1970 (until 2116), so that start and offset fit 64 bits together.
     MAX_ORIGIN = 1 << 62

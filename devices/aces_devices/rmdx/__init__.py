@@ -1,6 +1,6 @@
 """MyActuator RMD-X motors (also RMD-L, RMD-H): a joint by position, speed or current.
 
-1. The motor obeys every command of motion at once and cannot be enabled: it is on when it has answered such a command, and
+1. The motor obeys every command of motion at once; no command enables it: it is on when it has answered such a command, and
    off when it has answered ShutDown. The driver sends none before `enable`, and none after an error, a reset or silence,
    until `enable` is called again.
 2. A command of motion is answered with current and speed; in a tick that sends none they are asked for.

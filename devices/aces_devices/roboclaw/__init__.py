@@ -1,6 +1,6 @@
 """Basicmicro RoboClaw: two motors a controller, each a joint by duty, speed or position; up to eight controllers on a line.
 
-1. The controller obeys every command of motion at once and cannot be enabled. The driver sends none before `enable`, and
+1. The controller obeys every command of motion at once; no command enables it. The driver sends none before `enable`, and
    none after a fault or silence, until `enable` is called again.
 2. An answer has no head: one controller of the line is asked at a time, also where it only acknowledges a set-point.
 3. `enable` sets the serial time-out, with which it stops both motors when its host is gone.

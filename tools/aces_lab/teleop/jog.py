@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import select
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from types import ModuleType
@@ -130,15 +131,16 @@ class Jog(Controller):
         return {state: self._goal if known is None else known}
 
 
-class ReadingThread:
+class ReadingThread(ABC):
     """A thread that reads until it is closed; a context manager."""
 
     def __init__(self, name: str) -> None:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._read_on, name=name, daemon=True)
 
+    @abstractmethod
     def _read_on(self) -> None:
-        raise NotImplementedError
+        """Read until `_closing` is set."""
 
     def __enter__(self) -> None:
         self._thread.start()
