@@ -6,10 +6,23 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from construct import Byte, Const, Default, GreedyBytes, Int16ub, PascalString, Struct, this
+from construct import (
+    Array,
+    Byte,
+    Const,
+    Default,
+    GreedyBytes,
+    GreedyRange,
+    Int16ub,
+    PascalString,
+    Rebuild,
+    Struct,
+    len_,
+    this,
+)
 
 from aces_bus import Frame, Unknown, make_column_scanner, make_scanner
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, FieldError
 from aces_bus.protocol import Counter, Crc, IdField, InvertedSum, Protocol
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.reference import Reference
@@ -266,6 +279,39 @@ def test_packets_of_a_multiple_are_filled_up_and_others_are_malformed() -> None:
     columns.close()
     assert columns.counts.records == 400
     assert columns.counts.reasons == scanner.counts.reasons
+
+
+def test_a_packet_that_nothing_fills_up_is_refused_when_it_is_made() -> None:
+    """Zeros that no field takes would make a packet that is not read, or other values of its last field."""
+    made = Protocol("padded", link="serial")
+    header = Struct("kind" / Byte, "length" / Byte)
+    packet = made.framing(sync=b"\xaa", header=header, size=this.length + 0, multiple=4, max_size=64)
+    counted = ("count" / Rebuild(Byte, len_(this.values)), "values" / Array(this.count, Byte))
+    packet("Counted", match={"kind": 1}, payload=Struct(*counted))
+    packet("Rest", match={"kind": 2}, payload=Struct("values" / GreedyRange(Byte)))
+    packet("Data", match={"kind": 3}, payload=Struct("data" / GreedyBytes))
+    packet("Filled", match={"kind": 4}, payload=Struct(*counted, "padding" / Default(GreedyBytes, b"")))
+    whole: dict[str, dict[str, Any]] = {
+        "Counted": {"values": [1, 2, 3, 4]},
+        "Rest": {"values": [1]},
+        "Data": {"data": bytes(5)},
+        "Filled": {"values": [7]},
+    }
+    for name, fields in whole.items():
+        (record,) = made.scanner().feed(made.encode(name, **fields))
+        assert [bytes(getattr(record, field)) for field in fields] == [*map(bytes, fields.values())]
+    odd: dict[str, dict[str, Any]] = {
+        "Counted": {"values": [1, 2, 3]},
+        "Rest": {"values": [1, 2]},
+        "Data": {"data": b"xy"},
+        "Filled": {"values": [7], "padding": b"\0"},
+    }
+    assert len(made.encode("Filled", **odd.pop("Filled"))) == 8
+    for name, fields in odd.items():
+        with pytest.raises(
+            FieldError, match=f"^{name}: .* a packet of .* multiple of 4: give [123] more, or end"
+        ):
+            made.encode(name, **fields)
 
 
 def test_directions_are_said_in_either_words() -> None:

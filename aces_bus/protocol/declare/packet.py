@@ -327,8 +327,15 @@ class PacketStruct(Construct):
             packet = packet[: framing.head_end] + framing.stuffing.stuff(packet[framing.head_end :] + body)
         else:
             packet += body
-        packet += bytes(-(len(packet) + framing.check_size) % framing.multiple)
         size = len(packet) + framing.check_size
+        if (missing := -size % framing.multiple) and not self.message.is_filled_up:
+            raise FieldError(
+                f"{self.message.name}: these fields make a packet of {size} bytes, and those of {framing.name} have"
+                f" a multiple of {framing.multiple}: give {missing} more, or end the message with"
+                f' "padding" / Default(GreedyBytes, b"")'
+            )
+        packet += bytes(missing)
+        size += missing
         if framing.affine is not None:
             length = framing.affine.length
             if size > framing.max_size:
