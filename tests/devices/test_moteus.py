@@ -228,3 +228,121 @@ def test_a_brown_out_is_a_fault_until_the_supply_is_back() -> None:
             robot.rig.each("enable").wait(5)
         robot.twins["M"].fault("brown_out", on=False)
         robot.rig.each("enable").wait(5)
+
+
+# ---------------------------------------------------------------------- the configuration
+
+
+def test_its_configuration_is_read_written_and_saved() -> None:
+    """By name; what was written is obeyed at once, and outlives power-off only when it was saved."""
+    with arm() as robot:
+        robot.advance(0.1)
+        device: Any = robot.devices["M"]
+        twin: Any = robot.twins["M"]
+        assert device.read("servo.max_current_A").wait(5) == 30
+        whole = device.configuration().wait(5)
+        assert whole["id.id"] == 1
+        assert math.isnan(whole["servo.default_accel_limit"])
+        assert whole == pytest.approx(dict(twin.configuration), nan_ok=True)
+        device.write("servo.max_current_A", 2.5, confirm=True).wait(5)
+        robot.rig.each("enable").wait(5)
+        twin.fault("jam")
+        robot["J"].set(0.9)
+        robot.advance(0.5)
+        assert values(robot)["torque"] == pytest.approx(
+            2.5 * 0.4, rel=1e-3
+        )  # less than the file's `max_torque`
+        with pytest.raises(DeviceError, match="in mode position: stop it before its configuration is saved"):
+            device.save(confirm=True).wait(5)
+        robot.rig.stop_motion().wait(5)
+        twin.reboot()
+        assert device.read("servo.max_current_A").wait(5) == 30
+        device.write("servo.max_current_A", 2.5, confirm=True).wait(5)
+        device.save(confirm=True).wait(5)
+        twin.reboot()
+        assert device.read("servo.max_current_A").wait(5) == 2.5
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("servo.speed", 1.0, "ERR error setting"),
+        ("nothing.at_all", 1.0, "ERR unknown group"),
+        ("servo.timeout_mode", 1.5, "ERR error setting"),
+        ("servo.timeout_mode", 10, "ERR error setting"),
+        ("id.id", 7, "ERR error setting"),
+        ("servo.max_current_A\n", 1.0, "is not a line of ASCII text"),
+    ],
+)
+def test_what_it_cannot_be_set_to_is_named(name: str, value: float, why: str) -> None:
+    """The answer of the console is the error's text; nothing is changed."""
+    with arm() as robot:
+        robot.advance(0.1)
+        device: Any = robot.devices["M"]
+        twin: Any = robot.twins["M"]
+        before = dict(twin.configuration)
+        with pytest.raises(DeviceError, match=why):
+            device.write(name, value, confirm=True).wait(5)
+        assert dict(twin.configuration) == pytest.approx(before, nan_ok=True)
+
+
+def test_an_answer_that_is_lost_fails() -> None:
+    """What a lost frame had is gone: the command fails, and the next one begins with what is left thrown away."""
+    with arm() as robot:
+        robot.advance(0.1)
+        device: Any = robot.devices["M"]
+        robot.twins["M"].fault("loses", 3)
+        with pytest.raises(DeviceError):
+            device.configuration().wait(5)
+        robot.twins["M"].fault("loses", on=False)
+        assert device.configuration().wait(5)["servo.timeout_mode"] == 12
+
+
+def test_its_configured_bounds_hold() -> None:
+    """A goal ends at servopos.position_max; a joint that is beyond it is in fault 39 when position mode begins."""
+    with arm() as robot:
+        robot.advance(0.1)
+        device: Any = robot.devices["M"]
+        device.write("servopos.position_max", 0.05, confirm=True).wait(5)
+        robot.rig.each("enable").wait(5)
+        robot["J"].set(0.9)
+        robot.advance(1.0)
+        assert robot["J.position"].value == pytest.approx(0.05 * math.tau, abs=1e-3)
+        robot.rig.stop_motion().wait(5)
+        device.write("servopos.position_max", 0.0, confirm=True).wait(5)
+        with pytest.raises(DeviceError, match="start_outside_limit"):
+            robot.rig.each("enable").wait(5)
+
+
+def test_the_console_answers_every_line() -> None:
+    """Also one that it does not know; bytes that are no text, and lines without an end, do no harm."""
+    with arm() as robot:
+        robot.advance(0.1)
+        twin: Any = robot.twins["M"]
+
+        def say(text: bytes) -> str:
+            twin.console.take(text)
+            return str(twin.console.give(5000).decode("latin1"))
+
+        assert say(b"conf ge") == ""
+        assert say(b"t servo.timeout_mode\r\n") == "12\r\n"
+        assert say(b"tel list\n") == "firmware\r\ngit\r\nservo_stats\r\nOK\r\n"
+        assert say(b"tel stop\ntel text\n") == "OK\r\nOK\r\n"
+        assert say(b"tel get firmware\n").splitlines()[-2:] == ["firmware.model 256", "OK"]
+        assert say(b"conf enumerate id\n") == "id.id 1\r\nOK\r\n"
+        assert say(b"d cfg-set-output 0.5\n") == "OK\r\n"
+        assert twin.value_of("position") == pytest.approx(0.5)
+        assert say(b"conf default\n") == "OK\r\n"
+        assert twin.value_of("position") == pytest.approx(0.0)
+        for line in (
+            b"d pos nan 1 1",
+            b"d dq 1 x",
+            b"aux1 out 1",
+            b"tel get x",
+            b"tel",
+            b"conf",
+            b"conf load x y",
+        ):
+            assert say(line + b"\n").startswith(("ERR", "OK"))
+        say(bytes(range(256)) * 10)
+        assert say(b"\nconf get id.id\n").endswith("1\r\n")

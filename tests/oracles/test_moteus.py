@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import shutil
 import struct
@@ -35,6 +36,8 @@ multiplex = oracle("moteus.multiplex", "moteus")
 vendor = oracle("moteus.protocol", "moteus")
 transports = oracle("moteus.transport", "moteus")
 python_can = oracle("moteus.pythoncan_device", "moteus")
+factory = oracle("moteus.transport_factory", "moteus")
+tool = oracle("moteus.moteus_tool", "moteus")
 
 #: A limit that a machine twenty times slower keeps, too.
 PATIENCE_S = 60.0
@@ -276,6 +279,75 @@ def test_its_watchdog_is_the_twins(bench: Bench) -> None:
         assert (await controller.set_stop(query=True)).values[peer.Register.MODE] == 0
 
     bench.run(steps)
+
+
+# ---------------------------------------------------------------------- moteus_tool
+
+
+def run_tool(bench: Bench, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    """Run moteus_tool's own `main` on the bench.
+
+    It sends `tel stop` first and gives the answer 0.2 s to come and be thrown away, which is too short for a busy machine.
+    """
+    given = ["moteus_tool", "--can-iface", "aces", "--can-chan", bench.address, "--no-tel-stop", *arguments]
+    monkeypatch.setattr("sys.argv", given)
+    monkeypatch.setattr(factory, "GLOBAL_TRANSPORT", None)  # each run of the program makes its own
+    tool.main()
+
+
+def test_moteus_tool_shows_who_it_is(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--info`: schemas and values in their binary form; `--read` of the servo's channel."""
+    run_tool(bench, monkeypatch, "-t", "11", "--info")
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["model"] == "100"
+    assert shown["uuid"].endswith("-00000000000b")
+    run_tool(bench, monkeypatch, "-t", "11", "--read", "servo_stats")
+    stats = json.loads(capsys.readouterr().out)
+    assert (stats["mode"], stats["fault"], stats["filt_bus_V"]) == (0, 0, 24.0)
+
+
+def test_moteus_tool_finds_both_and_dumps_their_configuration(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--dump-config` without a target discovers both twins; each value is the twin's."""
+    run_tool(bench, monkeypatch, "--dump-config")
+    one, eleven = capsys.readouterr().out.split("Target: ")[1:]
+    for text, name in ((one, "ONE"), (eleven, "ELEVEN")):
+        lines = [line.split() for line in text.splitlines()[1:] if line]
+        configuration = bench.twin(name, lambda twin: dict(twin.configuration))
+        assert [key for key, _ in lines] == list(configuration)
+        assert all(same(float(value), configuration[key]) for key, value in lines)
+
+
+def test_moteus_tool_restores_a_configuration(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """`--restore-config` sets and saves what the twin has; what it has not is named."""
+    file = tmp_path / "moteus.cfg"
+    file.write_text("servo.max_current_A 12.5\nservo.pid_dq_hz 100\nservo.timeout_mode 15\n")
+    run_tool(bench, monkeypatch, "-t", "1", "--restore-config", str(file))
+    stored = bench.twin("ONE", lambda twin: dict(twin.stored))
+    assert (stored["servo.max_current_A"], stored["servo.timeout_mode"]) == (12.5, 15)
+    assert "servo.pid_dq_hz 100" in capsys.readouterr().out
+
+
+def test_moteus_tool_sets_the_offset(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--set-offset` and `--zero-offset` are where the joint is, and outlive power-off."""
+    for arguments, position in ((("--set-offset", "0.25"), 0.25), (("--zero-offset",), 0.0)):
+        bench.twin("ONE", lambda twin: twin.motor.place(twin.clock.now(), 2.0))
+        run_tool(bench, monkeypatch, "-t", "1", *arguments)
+        bench.twin("ONE", lambda twin: twin.reboot())
+        assert bench.twin("ONE", lambda twin: twin.value_of("position")) == pytest.approx(position, abs=1e-6)
+
+
+def test_moteus_tool_stops_it(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--stop` ends position mode."""
+    bench.twin("ONE", lambda twin: twin._write({"mode": "position", "command_timeout": math.nan}))
+    assert bench.twin("ONE", lambda twin: twin.mode) == "position"
+    run_tool(bench, monkeypatch, "-t", "1", "--stop")
+    assert bench.twin("ONE", lambda twin: twin.mode) == "stopped"
 
 
 @pytest.mark.slow

@@ -35,6 +35,10 @@ from .twin import MoteusTwin
 WATCHDOG_S, WATCHDOG_TICKS = 0.1, 5
 #: The same on a bus without ticks, which repeats nothing: the motor stops then.
 UNTICKED_S = 0.5
+#: The channel of the console, the text that a frame has room for, and how long a whole answer may take (ns): a choice.
+CHANNEL, MOST_TEXT, CONSOLE_NS = 1, 61, 2_000_000_000
+#: How long text is waited for when an answer has come (ns).
+ANSWER_NS = 50_000_000
 #: How long a controller is given to reach a mode (ns), and between two looks.
 MODE_NS, LOOK_NS = 500_000_000, 5_000_000
 #: Modes in which no torque moves the joint: off, a fault, the windings shorted.
@@ -109,8 +113,12 @@ class Moteus(Device):
         "disable": "end set-points and stop",
         "set_zero": "call where the joint is its zero, until the controller is switched off; only while it is stopped",
         "identify": "ask for model, firmware and serial number",
+        "read": "read a value of its configuration by its name, such as servo.max_current_A",
+        "configuration": "read its whole configuration",
+        "write": "write a value of its configuration, until power-off; confirm=true",
+        "save": "keep the configuration for good, while it is stopped; confirm=true",
     }
-    asking: ClassVar = ("identify",)
+    asking: ClassVar = ("identify", "read", "configuration")
     when_host_is_lost = HostLoss(
         "brakes", "mjbots/moteus docs, register 0x027 and servo.timeout_mode", WATCHDOG_S,
         "position_timeout: speed 0 without a position (servo.timeout_mode 12, as from the factory), so that a loaded joint"
@@ -141,6 +149,8 @@ class Moteus(Device):
         self.watchdog_s = settings.watchdog_s or usual
         self.takes_set_points = False
         self.alarms: frozenset[str] = frozenset()
+        #: Text of the console, as it was received and not taken yet.
+        self.heard: list[bytes] = []
         queries = [
             {"subframes": [{"kind": kind, "data": names} for kind, names in group]} for group in (STATE, SLOW)
         ]
@@ -247,6 +257,9 @@ class Moteus(Device):
         for subframe in record.subframes:
             if subframe.reason is not None:
                 self.emit_event("malformed", f"a sub-frame of its answer is {subframe.reason}")
+            elif subframe.kind == "stream_from_device":
+                if subframe.data.channel == CHANNEL:
+                    self.heard.append(bytes(subframe.data.data))
             elif subframe.kind == "read_error":
                 self.emit_event(
                     "malformed", f"it cannot read {subframe.data.register}: error {subframe.data.error}"
@@ -365,6 +378,111 @@ class Moteus(Device):
             return register_values((yield self._ask(reads=names)).subframes)
 
         return self.job("identify", steps)
+
+    # ------------------------------------------------------------------ the configuration, by the console
+
+    def read(self, name: str) -> Job:
+        """Read a value of the configuration by name, in the unit of the reference. Fails with `DeviceError`."""
+
+        def steps(job: Job) -> Steps:
+            lines: list[str] = yield from self._say(f"conf get {name}", is_one_line=True)
+            return number_of(lines[0])
+
+        return self.job(f"read {name}", steps)
+
+    def configuration(self) -> Job:
+        """Read the whole configuration: the result is {name: value}, text where a value is no number."""
+
+        def steps(job: Job) -> Steps:
+            lines: list[str] = yield from self._say("conf enumerate")
+            pairs = (line.partition(" ") for line in lines)
+            return {name: number_of(text) for name, _, text in pairs}
+
+        return self.job("configuration", steps)
+
+    def write(self, name: str, value: float, confirm: bool) -> Job:
+        """Write a value of the configuration, until power-off; it is obeyed at once. Fails with `DeviceError`."""
+        if confirm is not True:
+            raise CallerError(
+                f"{self.name}: say confirm=True; a value of the configuration can move the motor"
+            )
+        # A whole number stays one: the console refuses 12.0 where it expects an integer.
+        text = str(int(value)) if isinstance(value, int) or value == value // 1 else f"{value:.9g}"
+
+        def steps(job: Job) -> Steps:
+            yield from self._say(f"conf set {name} {text}")
+
+        return self.job(f"write {name}", steps)
+
+    def save(self, confirm: bool) -> Job:
+        """Keep the configuration for good. Fails with `DeviceError` while the controller is not stopped."""
+        if confirm is not True:
+            raise CallerError(
+                f"{self.name}: say confirm=True; what was written so far outlives power-off then"
+            )
+
+        def steps(job: Job) -> Steps:
+            mode = register_values((yield self._ask()).subframes).get("mode")
+            if mode not in STILL:
+                raise DeviceError(f"{self.name} is in mode {mode}: stop it before its configuration is saved")
+            yield from self._say("conf write")
+
+        return self.job("save the configuration", steps)
+
+    def _say(self, line: str, *, is_one_line: bool = False) -> Steps:
+        """Say a line to the console; return the lines of the answer up to `OK`, or its one line.
+
+        Raises `DeviceError` for an answer `ERR …`, and for one that does not end within `CONSOLE_NS`.
+        """
+        if "\n" in line or not line.isascii():
+            raise DeviceError(f"{self.name}: {line!r} is not a line of ASCII text")
+        end = self.clock.now() + CONSOLE_NS
+        self.heard.clear()
+        while (yield from self._poll()):  # an earlier command has left something
+            if self.clock.now() > end:
+                raise DeviceError(f"{self.name}: its console does not fall silent; say `tel stop` to it")
+            yield LOOK_NS
+        data = f"{line}\n".encode()
+        for start in range(0, len(data), MOST_TEXT):
+            part = {"channel": CHANNEL, "data": data[start : start + MOST_TEXT]}
+            yield self.send("Command", subframes=[{"kind": "stream_to_device", "data": part}])
+        text = b""
+        while self.clock.now() <= end:
+            text += yield from self._poll()
+            *whole, _ = text.decode("latin1").split("\n")
+            lines = [each.strip() for each in whole if each.strip()]
+            if lines and lines[-1].startswith("ERR"):
+                raise DeviceError(f"{self.name}: {line!r} is answered {lines[-1]!r}")
+            if lines and is_one_line:
+                return lines
+            if lines and lines[-1].startswith("OK"):
+                return lines[:-1]
+            yield LOOK_NS
+        raise DeviceError(f"{self.name}: {line!r} is not answered within {CONSOLE_NS / 1e9:g} s")
+
+    def _poll(self) -> Steps:
+        """Ask the console for text. Raises `DeviceError` when the answer is lost: the text in it is gone.
+
+        After a lost answer a ticket may be over by the answer to another question: the text is waited for by itself.
+        """
+        poll = {"kind": "poll_stream", "data": {"channel": CHANNEL, "most": MOST_TEXT}}
+        yield self.ask("Query", reply=REPLIES, retries=0, subframes=[poll])
+        end = self.clock.now() + ANSWER_NS
+        while not self.heard:
+            if self.clock.now() > end:
+                raise DeviceError(f"{self.name}: an answer of its console was lost; say it again")
+            yield LOOK_NS
+        return self.heard.pop(0)
+
+
+def number_of(text: str) -> float | str:
+    """Return a value of the console: a whole number, a number, or text that is none."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
 
 
 def runs(values: dict[str, float]) -> list[Item]:

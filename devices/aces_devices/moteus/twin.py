@@ -5,11 +5,12 @@
    damping, with no more torque than the command allows. Its sizes are choices.
 3. A command lasts until its watchdog; then the controller is in mode 11, where it only damps, and which only a stop ends.
 4. Above 75 °C or below 10 V it is in a fault (servo.fault_temperature; the least voltage is a choice).
+5. It obeys its configuration at once, which the tunnelled console reads, writes and stores (`console.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import inf, isnan, nan, tau
 from random import Random
 from struct import calcsize
@@ -19,17 +20,15 @@ from aces_bus.device import Twin, on
 from aces_bus.device.single_motor import JointScale
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.protocol import Record
-from aces_protocols.moteus.registers import BY_NAME, FAULTS, TYPES
-from aces_protocols.moteus.subframes import bytes_of, register_values
+from aces_protocols.moteus.registers import BY_NAME, FAULTS, MODES, TYPES
+from aces_protocols.moteus.subframes import bytes_of, register_values, varuint
 
 from ..joint_model import AMBIENT, JAM, MotorModel, PacedGoal, jam, joint_of
+from .configuration import CURRENT, MAX_VELOCITY, TIMEOUT_MODES, TIMEOUT_S, TORQUE_CONSTANT, Configuration
+from .console import CHANNEL, Console, Fields
 
-#: The watchdog of a command that names none (s), the configured maximum torque (N·m), the fastest the motor turns (turn/s).
-TIMEOUT_S, MAX_TORQUE, MAX_VELOCITY = 0.1, 12.0, 20.0
-#: At the controller: amperes and N·m/A of its motor, stiffness (N·m/rad) and damping (N·m·s/rad) at a scale of 1. Choices.
-CURRENT, TORQUE_CONSTANT, STIFFNESS, DAMPING = 30.0, MAX_TORQUE / 30.0, 120.0, 4.0
-#: The supply without load (V) and its resistance (ohm); the least voltage (V) and the highest temperature (°C).
-SUPPLY, RESISTANCE, LEAST_VOLTAGE, MOST_TEMPERATURE = 24.0, 0.05, 10.0, 75.0
+#: The supply without load (V) and its resistance (ohm); the least voltage (V).
+SUPPLY, RESISTANCE, LEAST_VOLTAGE = 24.0, 0.05, 10.0
 #: What else the twin has: model, firmware, register map, serial numbers.
 FIXED = {
     "model_number": 0x0100,
@@ -39,6 +38,8 @@ FIXED = {
     "serial_number2": 0x5678,
     "serial_number3": 0x4D4F,
 }
+#: The commit that it is of, and when that was made (s): none, it is no firmware.
+GIT: Fields = {"hash": ("u8", (0,) * 20), "dirty": ("bool", (0,)), "timestamp": ("u64", (0,))}
 #: Set-points that are "not given" until a frame gives them: the reference's defaults.
 COMMAND = {
     "command_position": 0.0,
@@ -65,7 +66,10 @@ NO_REGISTER = 1
 
 
 class MoteusTwin(Twin):
-    """A controller: `mode`, `fault`, `command` (the registers of position mode), `position(now)` of its joint (rad)."""
+    """A controller: `mode`, `fault`, `command` (the registers of position mode), `position(now)` of its joint (rad).
+
+    `configuration` has its values by name; `stored` those that outlive power-off.
+    """
 
     protocol = "moteus"
     faults: ClassVar = {
@@ -75,9 +79,19 @@ class MoteusTwin(Twin):
         "trip": "a fault, 38 over-temperature (or the code said), until it is over and the controller is stopped",
     }
     amounts: ClassVar = {"trip": 38, "hot": 100.0, "brown_out": 8.0}
+    stored: dict[str, float] | None = None
 
     def setup(self) -> None:
-        """Begin as just powered: stopped, where the motor is."""
+        """Begin as just powered: stopped, where the motor is, with the stored configuration."""
+        self.configuration = Configuration(self.credentials["id"])
+        self._load()
+        self.console = Console(
+            self.configuration,
+            {"firmware": self._firmware, "git": lambda: GIT, "servo_stats": self._stats},
+            self._debug,
+            self._load,
+            self._store,
+        )
         self.scale = scale = JointScale.of(self.joints[0] if self.joints else None, 1 / tau)
         self.motor = joint_of(
             self,
@@ -109,18 +123,35 @@ class MoteusTwin(Twin):
         """Return where the motor is (turns); what happened since is caught up."""
         now, motor = self.clock.now(), self.motor
         motor.sync(now)
-        if self.temperature > MOST_TEMPERATURE:
+        if self.temperature > self.configuration["servo.fault_temperature"]:
             self._trip("over_temperature")
         elif self.voltage < LEAST_VOLTAGE:
             self._trip("under_voltage")
-        return self.scale.raw_angle(motor.q) + self.offset
+        return self._turns()
+
+    def _turns(self) -> float:
+        """Return where the motor is said to be (turns)."""
+        return self.scale.raw_angle(self.motor.q) + self._shift()
+
+    def _shift(self) -> float:
+        """Return what is added to the motor's turns."""
+        return self.configuration["motor_position.output.offset"] + self.offset
 
     def _late(self) -> None:
         """End position mode, if its watchdog's time is over."""
         now = self.clock.now()
         if self._until is not None and now >= self._until and self.mode == "position":
-            self._damp(now)
+            self._passive(now, TIMEOUT_MODES[round(self.configuration["servo.timeout_mode"])])
             self.mode, self._until = "position_timeout", None
+
+    def _passive(self, now: int, mode: str) -> None:
+        """Have the motor do what a mode without a goal does: free, shorted, or damped."""
+        if mode == "stopped":
+            self.motor.free(now)
+        elif mode == "brake":
+            self.motor.drive(now, 0.0)
+        else:
+            self._damp(now)
 
     def _damp(self, now: int) -> None:
         """Hold no position, resist motion: mode zero velocity, and what is left after the watchdog."""
@@ -150,23 +181,37 @@ class MoteusTwin(Twin):
 
     def _most_torque(self) -> float:
         most = self.command["command_position_max_torque"]
-        return MAX_TORQUE if isnan(most) else min(most, MAX_TORQUE)
+        configured = self.configuration["servo.max_current_A"] * TORQUE_CONSTANT
+        return configured if isnan(most) else min(most, configured)
+
+    def _bounds(self) -> tuple[float, float]:
+        """Return the least and the greatest position that a goal may have (turns)."""
+        names = ("servopos.position_min", "servopos.position_max")
+        least, most = (self.configuration[name] for name in names)
+        if self.command["command_ignore_position_bounds"]:
+            return -inf, inf
+        return (-inf if isnan(least) else least), (inf if isnan(most) else most)
+
+    def _limit(self, name: str) -> float:
+        """Return the limit of the command, else the configured one; NaN for none."""
+        given = self.command[f"command_{name}"]
+        return self.configuration[f"servo.default_{name}"] if isnan(given) else given
 
     def _law_of(self, goal: float, target: float | None, speed: float) -> PacedGoal:
         """Return what a command has the motor do: from `goal` to `target` (turns), or on at `speed` (turn/s)."""
-        scale, command, motor = self.scale, self.command, self.motor
-        limit, rise = command["command_velocity_limit"], command["command_accel_limit"]
-        fastest = min(inf if isnan(limit) else limit, MAX_VELOCITY)
+        scale, command, motor, values = self.scale, self.command, self.motor, self.configuration
+        limit, rise, shift = self._limit("velocity_limit"), self._limit("accel_limit"), self._shift()
+        fastest = min(inf if isnan(limit) else limit, values["servo.max_velocity"])
         whole = motor.motor.stall_torque
         return PacedGoal(
-            goal=motor.q if isnan(goal) else scale.angle(goal - self.offset),
-            target=None if target is None else scale.angle(target - self.offset),
+            goal=motor.q if isnan(goal) else scale.angle(goal - shift),
+            target=None if target is None else scale.angle(target - shift),
             pace=abs(scale.speed(fastest))
             if target is not None
             else scale.speed(max(-fastest, min(fastest, speed))),
             acceleration=inf if isnan(rise) or rise <= 0.0 else abs(scale.speed(rise)),
-            stiffness=scale.gain(STIFFNESS) * command["command_kp_scale"] / whole,
-            damping=scale.gain(DAMPING) * command["command_kd_scale"] / whole,
+            stiffness=scale.gain(values["servo.pid_position.kp"] / tau) * command["command_kp_scale"] / whole,
+            damping=scale.gain(values["servo.pid_position.kd"] / tau) * command["command_kd_scale"] / whole,
             feed=scale.torque(command["command_feedforward_torque"]) / whole,
             limit=abs(scale.torque(self._most_torque())) / whole,
             emf=1.0 / motor.motor.speed,
@@ -183,11 +228,13 @@ class MoteusTwin(Twin):
     def take(self, request: Record) -> None:
         """Write registers."""
         self._write(register_values(request.subframes))
+        self._listen(request)
 
     @on("Query")
     def answer(self, request: Record) -> None:
         """Write registers, then answer what is read."""
         self._write(register_values(request.subframes))
+        self._listen(request)
         self._sync()
         # An error is what a controller answers; sent to one, it asks for nothing.
         reads = [
@@ -201,7 +248,24 @@ class MoteusTwin(Twin):
         if sum(len(read.data) for read in reads) > SURE:
             while len(bytes_of(items)) > FD_LENGTHS[-1]:
                 items.pop()  # a frame has no room for more
+        for poll in request.subframes:
+            if poll.kind == "poll_stream" and poll.reason is None:
+                channel = poll.data.channel
+                room = FD_LENGTHS[-1] - len(bytes_of(items)) - 2 - len(varuint(channel))
+                if room >= 0:
+                    text = self.console.give(min(room, poll.data.most)) if channel == CHANNEL else b""
+                    items.append({"kind": "stream_from_device", "data": {"channel": channel, "data": text}})
         self.reply("Reply" if self.credentials["id"] < 8 else "ReplyExtended", subframes=items)
+
+    def _listen(self, request: Record) -> None:
+        """Give the console what a frame has for it."""
+        for subframe in request.subframes:
+            if (
+                subframe.kind == "stream_to_device"
+                and subframe.reason is None
+                and subframe.data.channel == CHANNEL
+            ):
+                self.console.take(subframe.data.data)
 
     def _answers(self, form: str, names: Iterable[str]) -> Iterable[dict[str, Any]]:
         """Yield the values of a read, in runs between registers that do not exist."""
@@ -226,7 +290,7 @@ class MoteusTwin(Twin):
             case "fault":
                 return self.fault_code
             case "position" | "abs_position" | "encoder_0_position":
-                return self.scale.raw_angle(self.motor.q) + self.offset
+                return self._turns()
             case "velocity" | "encoder_0_velocity":
                 return self.scale.raw_speed(self.motor.v)
             case "torque":
@@ -263,7 +327,8 @@ class MoteusTwin(Twin):
             self.command.update((name, value) for name, value in values.items() if name in self.command)
             return
         # A command begins with the mode, and what it does not name is as it is by default.
-        self.command = {**COMMAND, **{name: value for name, value in values.items() if name in COMMAND}}
+        usual = {**COMMAND, "command_timeout": self.configuration["servo.default_timeout_s"]}
+        self.command = usual | {name: value for name, value in values.items() if name in COMMAND}
         now = self.clock.now()
         if mode == "stopped":
             code = round(self.active_faults.get("trip", 0))
@@ -279,10 +344,7 @@ class MoteusTwin(Twin):
             self._begin(turns)
         else:
             self.mode, self._until = str(mode), None
-            if mode == "brake":
-                self.motor.drive(now, 0.0)
-            else:
-                self._damp(now)
+            self._passive(now, self.mode)
 
     def _begin(self, turns: float) -> None:
         """Begin position mode: to the position, or on from the present one, until the watchdog."""
@@ -291,10 +353,18 @@ class MoteusTwin(Twin):
             command[f"command_{name}"] for name in ("position", "velocity", "stop_position")
         )
         speed = 0.0 if isnan(speed) else speed
-        goal = turns if law is None else self.scale.raw_angle(law.goal) + self.offset
+        least, most = self._bounds()
+        if self.mode != "position" and not least <= turns <= most:
+            self._trip("start_outside_limit")
+            return
+        goal = turns if law is None else self.scale.raw_angle(law.goal) + self._shift()
         target: float | None = place
         if isnan(place):
             target = goal if not speed else None if isnan(stop) else stop
+        if target is None and inf > (bound := most if speed > 0 else least) > -inf:
+            target, command["command_velocity_limit"] = bound, abs(speed)
+        if target is not None:
+            target = max(least, min(most, target))
         made = self._law_of(goal, target, speed)
         made.rate = 0.0 if law is None else law.rate
         self._law, self.mode = made, "position"
@@ -305,6 +375,59 @@ class MoteusTwin(Twin):
             self._until = self.clock.now() + round(seconds * 1e9)
             self._watch.cancel()
             self._watch = self.clock.call_at(self._until, self._late)
+
+    # ------------------------------------------------------------------ the console
+
+    def _load(self) -> None:
+        self.configuration.update(self.stored or {})
+
+    def _store(self) -> None:
+        self.stored = dict(self.configuration)
+
+    def _debug(self, command: str, numbers: Sequence[float]) -> bool:
+        """Carry out a command of the group `d`; return False for one that the twin does not know."""
+        match command, len(numbers):
+            case "stop", _:
+                self._write({"mode": "stopped"})
+            case "brake", _:
+                self._write({"mode": "brake"})
+            case "cfg-set-output", 1:
+                self.configuration["motor_position.output.offset"] += numbers[0] - self._sync()
+            case (("rezero" | "nearest"), 1):
+                self._write({"set_output_nearest": numbers[0]})
+            case "exact", 1:
+                self._write({"set_output_exact": numbers[0]})
+            case _:
+                return False
+        return True
+
+    def _firmware(self) -> Fields:
+        serial = tuple(FIXED[f"serial_number{place}"] for place in (1, 2, 3))
+        return {
+            "version": ("u32", (FIXED["firmware_version"],)),
+            "serial_number": ("u32", serial),
+            "model": ("u32", (FIXED["model_number"],)),
+        }
+
+    def _stats(self) -> Fields:
+        """Return what moteus_tool reads of the servo: turns, turn/s, N·m, A, V, °C."""
+        position = self._sync()
+        code = next(number for number, name in MODES.items() if name == self.mode)
+        numbers = {
+            "position": position,
+            "velocity": self.value_of("velocity"),
+            "torque_Nm": self.value_of("torque"),
+            "q_A": self.value_of("q_current"),
+            "d_A": 0.0,
+            "filt_bus_V": self.voltage,
+            "fet_temp_C": self.temperature,
+            "motor_temp_C": self.motor.temperature,
+        }
+        return {
+            "mode": ("i32", (code,)),
+            "fault": ("i32", (self.fault_code,)),
+            **{name: ("f32", (value,)) for name, value in numbers.items()},
+        }
 
     # ------------------------------------------------------------------ misbehaving
 
