@@ -245,7 +245,7 @@ class RowDecoder:
             there = wide.there.get(self._fields[kind.name], True)
             if there is True:
                 return found
-            gone = np.broadcast_to(np.asarray(there) == 0, len(rows))
+            gone = there == 0 if isinstance(there, np.ndarray) else np.ones(len(rows), bool)
             if kind.name in self._wide.keeps_zero:
                 return Column(kind, found.values, gone)
             return _without(found, gone)

@@ -140,18 +140,19 @@ class ShapedRows:
     def of(self, rows: PacketRows) -> WideRows:
         """Return the wide rows of packets."""
         count, width = rows.data.shape
-        starts: Array = np.arange(0, count * width, width)
-        if count * width < 1 << 31:
-            starts = starts.astype(np.uint32)  # half as many bytes to compute with
+        # uint32 where it is enough: half as many bytes to compute with.
+        kind = np.uint32 if count * width < 1 << 31 else np.int64
+        starts: Array = np.arange(0, count * width, width, dtype=kind)
         places, end, _ = self.places.of(rows.data.reshape(-1), starts, width)
         there = {name: place.there for name, place in zip(self.places.names, places, strict=True)}
-        behind = np.zeros(1, np.int64)
+        end, most = end + self._tail, 0
+        more: Any = self.end + self._tail
         if self._is_open and places[-1].there is not False:
-            behind = np.maximum(rows.lengths.astype(np.int64) - self._tail - end, 0) * places[-1].there
-        fits = rows.lengths == end + (behind + self._tail)
-        more = np.broadcast_to(self.end + self._tail + behind, count)
-        moved = MovedFields(self, rows, starts, places, int(behind.max(initial=0)))
-        return WideRows(type(rows)(moved, more, rows.keys), there, fits)
+            behind = np.maximum(rows.lengths.astype(np.int64) - end, 0) * places[-1].there
+            end, more, most = end + behind, more + behind, int(behind.max(initial=0))
+        fits = rows.lengths == end
+        moved = MovedFields(self, rows, starts, places, most)
+        return WideRows(type(rows)(moved, np.broadcast_to(more, count), rows.keys), there, fits)
 
 
 class MovedFields:
