@@ -14,7 +14,7 @@ from __future__ import annotations
 import random
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 from construct import ConstructError
@@ -25,6 +25,9 @@ from .message import Message, Request, may_coexist, share_dialect
 from .packet import WrongCheckError, can_image
 from .pattern import IdPattern, meet
 from .place import SourceLine
+
+if TYPE_CHECKING:
+    from ..plan.nodes import Constant
 
 
 class Conflict(msgspec.Struct, frozen=True):
@@ -384,6 +387,7 @@ def _can_conflict(one: Message, other: Message) -> Conflict | None:
         or (one.extended, one.remote) != (other.extended, other.remote)
         or set(one.formats).isdisjoint(other.formats)
         or one.identifier.is_apart(other.identifier)
+        or _are_constants_apart(one.plan.constants, other.plan.constants)
     ):
         return None
     lengths: Sequence[int]
@@ -409,6 +413,16 @@ def _can_conflict(one: Message, other: Message) -> Conflict | None:
         if witness is not None:
             return Conflict(one, other, witness, identifier)
     return Conflict(one, other, None) if is_found else None
+
+
+def _are_constants_apart(mine: Sequence[Constant], others: Sequence[Constant]) -> bool:
+    """Return whether constants differ where both messages have one: no packet of any length has both."""
+    theirs = {constant.offset: constant for constant in others}
+    return any(
+        (other := theirs.get(constant.offset)) is not None
+        and (constant.value ^ other.value) & constant.mask & other.mask
+        for constant in mine
+    )
 
 
 def _confirmed(

@@ -224,25 +224,19 @@ class Field(Adapter):
 
     def _check_subcon(self) -> None:
         """Raise `SpecError` where the field is given no number of the wire."""
-        mine = next((kind for kind in (*_OF_INTEGERS, Quantity) if isinstance(self, kind)), None)
+        mine = next((kind for kind in _OF_NUMBERS if isinstance(self, kind)), None)
         if mine is None:
             return
         inner = self.subcon
         while isinstance(inner, (Renamed, Default)):
             inner = inner.subcon
-        for other in (
-            Quantity,
-            TwoScales,
-            Enumeration,
-            Flags,
-            Text,
-            *((SignMagnitude,) if mine is SignMagnitude else ()),
-        ):
-            if isinstance(inner, other):
-                more = "; names of a quantity are its names={…}" if Quantity in (mine, other) else ""
-                raise SpecError(
-                    f"{self.place}: {mine.__name__} takes a number of the wire, not another {other.__name__}{more}"
-                )
+        others = (*_NO_NUMBERS, SignMagnitude) if mine is SignMagnitude else _NO_NUMBERS
+        if isinstance(inner, others):
+            other = next(kind for kind in others if isinstance(inner, kind))
+            more = "; names of a quantity are its names={…}" if Quantity in (mine, other) else ""
+            raise SpecError(
+                f"{self.place}: {mine.__name__} takes a number of the wire, not another {other.__name__}{more}"
+            )
         inner = innermost(inner)
         if isinstance(inner, (Bytes, GreedyBytes.__class__, Struct, Array, Text)):
             raise SpecError(f"{self.place}: {mine.__name__} takes a number, not {type(inner).__name__}")
@@ -359,9 +353,9 @@ class Quantity(Field):
             )
         if self.names and self.is_float:
             raise SpecError(f"{self.place}: names are for integers, not for floats")
-        for name, value in self.names.items():
+        for name, value in self.names.items() if scale != 1 or offset else ():
             for beside in (value - 1, value + 1):
-                if (scale != 1 or offset) and beside * scale + offset == value * scale + offset:
+                if beside * scale + offset == value * scale + offset:
                     raise SpecError(
                         f"{self.place}: {name!r} ({value}) cannot be distinguished from {beside}:"
                         " with this scale and offset both are the same number"
@@ -485,7 +479,10 @@ def truncated(number: float, offset: float) -> int:
 
 def names_by_value(names: Mapping[str, int], place: SourceLine) -> dict[int, str]:
     """Return the names by their numbers; raises `SpecError` where a number has two."""
-    values: dict[int, str] = {}
+    values = {value: name for name, value in names.items()}
+    if len(values) == len(names) and {*map(type, values)} <= {int} and {*map(type, names)} <= {str}:
+        return values
+    values = {}
     for name, value in names.items():
         if not isinstance(name, str) or not isinstance(value, int):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise SpecError(
@@ -765,7 +762,8 @@ def text_until(text: str, ends: str) -> str:
 
 
 #: The fields that take integers, an outer one of a pair first.
-_OF_INTEGERS = (SignMagnitude, TwoScales, Enumeration, Flags, Counter)
+_OF_NUMBERS = (SignMagnitude, TwoScales, Enumeration, Flags, Counter, Quantity)
+_NO_NUMBERS = (Quantity, TwoScales, Enumeration, Flags, Text)
 
 
 def Reserved(size: int) -> Construct:

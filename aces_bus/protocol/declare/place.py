@@ -11,6 +11,7 @@ import linecache
 import os
 import sys
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import FrameType
 
 _CORE = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
@@ -88,12 +89,15 @@ def caller_scope() -> Scope:
 
 def _own_frame() -> FrameType:
     frame = sys._getframe(2)  # pyright: ignore[reportPrivateUsage]  # `inspect` reads files
-    while frame.f_back is not None:
-        name = frame.f_code.co_filename
-        if not (name.startswith(_CORE) or _CONSTRUCT in name):
-            break
+    while frame.f_back is not None and _is_inside(frame.f_code.co_filename):
         frame = frame.f_back
     return frame
+
+
+@lru_cache(maxsize=4096)
+def _is_inside(file: str) -> bool:
+    """Return whether a file is the protocol core's or construct's."""
+    return file.startswith(_CORE) or _CONSTRUCT in file
 
 
 def _scope_of(frame: FrameType) -> Scope:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
 
 import construct as c
@@ -83,6 +84,7 @@ class DeclaredProtocol:
         self.doc, self.source = doc, source
         self.messages: dict[str, Message] = {}
         self.declared: list[Message] = []
+        self._by_name: dict[str, list[Message]] = {}
         self.framings: list[Framing] = []
         #: Maps of registers, in the order of their declaration: one for each kind of device that has its own.
         self.register_maps: list[RegisterMap] = []
@@ -211,9 +213,9 @@ class DeclaredProtocol:
             source=source,
             examples=self._examples(examples, place, transport, check_extra) if examples else (),
         )
-        for other in self.declared if name in self.messages else ():
+        for other in self._by_name.get(name, ()):
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
-            if other.name == name and share_dialect(made, other):
+            if share_dialect(made, other):
                 raise SpecError(f"{place}: message {name!r} is declared twice; the other is at {other.place}")
         self._check_order(made)
         if made.framing is None:
@@ -224,6 +226,7 @@ class DeclaredProtocol:
             ambiguity.check_against(made, self._on_stream.of(made))
             self._on_stream.add(made)
         self.declared.append(made)
+        self._by_name.setdefault(name, []).append(made)
         self.messages.setdefault(name, made)
         # Scanners that exist keep what they know; the next one knows this message too.
         self._variants.clear()
@@ -253,8 +256,8 @@ class DeclaredProtocol:
             raise SpecError(f"{made.place}: message {made.name!r} cannot override itself")
         while left:
             inner = left.pop()
-            for other in self.declared if inner.overrides else ():
-                if other.name not in inner.overrides or not share_dialect(made, other):
+            for other in chain.from_iterable(self._by_name.get(name, ()) for name in inner.overrides):
+                if not share_dialect(made, other):
                     continue
                 if made.name in other.overrides:
                     raise SpecError(

@@ -206,8 +206,7 @@ class _Builder:
         self.names = _tables(table, "LookupEnumerations", "EnumValues", "Value")
         self.flags = _tables(table, "LookupBitEnumerations", "EnumBitValues", "Bit")
         self.field_types = dict(field_types(table))
-        #: By PGN the fields of its forms, for functions about it.
-        self.parameters: dict[int, list[list[Parameter]]] = {}
+        self.forms: dict[int, list[_Form]] = {}
         version = f", version {ProblemText.clean(str(table['Version']))[:40]}" if "Version" in table else ""
         self.protocol = Protocol(
             protocol_name(path), link="can", bitrate=BITRATE, doc=f"NMEA 2000{version}", source=path
@@ -224,7 +223,7 @@ class _Builder:
             raise CallerError(f"{self.path}: more than {MOST_FIELDS:,} fields")
         if sum(map(len, [*self.names.values(), *self.flags.values()])) > MOST_NAMES:
             raise CallerError(f"{self.path}: more than {MOST_NAMES:,} names of values")
-        forms: dict[int, list[_Form]] = {}
+        forms = self.forms
         for given, line in zip(self.pgns, self.lines, strict=True):
             label = (
                 ProblemText.one_line(str(given.get("Id") or given.get("PGN")))[:60]
@@ -238,11 +237,14 @@ class _Builder:
                 some.append(form)
             except _LeftOut as reason:
                 self._problem(line, f"PGN {label}: {reason}: left out")
-        for pgn, some in forms.items():
-            self.parameters[pgn] = [[self._parameter(field) for field in form.fields] for form in some]
         for some in forms.values():
             self._declare_all(some)
         return self.protocol
+
+    @lru_cache(maxsize=64)  # noqa: B019  # a builder lives as long as its protocol
+    def parameters(self, pgn: int) -> list[list[Parameter]]:
+        """Return the fields of a PGN's forms, for functions about it: made when a packet asks for them."""
+        return [[self._parameter(field) for field in form.fields] for form in self.forms.get(pgn, ())]
 
     def _parameter(self, field: _Field) -> Parameter:
         """Return a field as functions about its group have it: alone, in whole bytes."""
@@ -297,6 +299,11 @@ class _Builder:
                 " which is neither one frame nor a fast packet nor of ISO 11783"
             )
         read = [_field(field) for field in fields]
+        self.named += sum(
+            len(self.names.get(str(field.given.get("LookupEnumeration")), ())) for field in read
+        )
+        if self.named > MOST_NAMES:
+            raise _LeftOut(f"more than {MOST_NAMES:,} names of values in all")
         if kind == "Fast" and sum(field.size for field in read) > MOST_FAST and read[-1].is_bytes:
             # The table gives the longest that it may be; packets have what there is.
             read[-1] = replace(read[-1], width=None)
@@ -364,12 +371,13 @@ class _Builder:
         if field.kind == "LOOKUP":
             known = self.names.get(str(get("LookupEnumeration")), {})
             names = {name: number for name, number in known.items() if low <= number <= high}
-            self.named += len(known)
-            if self.named > MOST_NAMES:
-                raise _LeftOut(f"more than {MOST_NAMES:,} names of values in all")
         sentinels = (_whole(get(key)) for key in ("UnknownValue", "OutOfRangeValue", "ReservedValue"))
-        unknown = [special for special in sentinels if special is not None and low <= special <= high]
-        unknown = [special for special in dict.fromkeys(unknown) if special not in names.values()]
+        named = set(names.values())
+        unknown = [
+            special
+            for special in dict.fromkeys(sentinels)
+            if special is not None and low <= special <= high and special not in named
+        ]
         scale, offset = _factor(get("Resolution"), 1), _factor(get("Offset"), 0)
         if names and scale == 1 and not offset and not unknown:
             return Enumeration(place, names)

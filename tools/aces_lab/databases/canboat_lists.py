@@ -11,7 +11,7 @@ pgn-126208-request-130817, pgn-130823-directory.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import construct as c
@@ -90,16 +90,16 @@ Parameter = tuple[str, int, c.Construct | None, int | None]
 class GroupParameters(ItemList):
     """Parameters of the group that the field `pgn` names: the number of a field in its order, and its value in whole bytes.
 
-    `kind` is the number, `data` the value by its name. `groups` has the forms of each group; those that the values exclude
+    `kind` is the number, `data` the value by its name. `groups` gives the forms of a group; those that the values exclude
     are not asked further. Where the remaining forms have other fields there, all that is left is one unknown item.
     """
 
-    def __init__(self, groups: Mapping[int, Sequence[Sequence[Parameter]]]) -> None:
+    def __init__(self, groups: Callable[[int], Sequence[Sequence[Parameter]]]) -> None:
         super().__init__()
         self.groups = groups
 
     def _forms(self, context: Any) -> list[Sequence[Parameter]]:
-        return list(self.groups.get(context.get("pgn"), ()))
+        return list(self.groups(context.get("pgn")))
 
     @staticmethod
     def _known(forms: Sequence[Sequence[Parameter]], number: int) -> Parameter | None:
