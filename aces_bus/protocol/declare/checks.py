@@ -191,19 +191,16 @@ class Check:
         """Return what `over` takes of a packet, in order."""
         parts: list[bytes] = []
         for part in over:
-            match part:
-                case slice():
-                    parts.append(packet[part])
-                case IdBytes():
-                    parts.append(part.bytes(identifier))
-                case RequestBytes():
-                    parts.append(part.bytes(request))
-                case DataIds():
-                    parts.append(part.bytes(packet))
-                case Extra():
-                    parts.append(extra)
-                case _:
-                    parts.append(part)
+            if isinstance(part, slice):
+                parts.append(packet[part])
+            elif isinstance(part, RequestBytes):
+                parts.append(part.bytes(request))
+            elif isinstance(part, IdBytes):
+                parts.append(part.bytes(identifier))
+            elif isinstance(part, DataIds):
+                parts.append(part.bytes(packet))
+            else:
+                parts.append(extra if isinstance(part, Extra) else part)
         return b"".join(parts)
 
     @property

@@ -394,7 +394,7 @@ class Framing:
         heads = (self.affine.length if self.affine is not None else None, self.check_head)
         return frozenset(head.name for head in heads if head is not None)
 
-    @property
+    @cached_property
     def check_at(self) -> int:
         """Start of the check in a packet: from its first byte, or negative, from its end."""
         assert self.check is not None
@@ -402,7 +402,7 @@ class Framing:
             return self.check_head.offset
         return -self.check.size - (0 if self.check_behind else len(self.end))
 
-    @property
+    @cached_property
     def check_over(self) -> tuple[Covered, ...]:
         """Bytes of a whole packet that the check covers; by default all behind the sync bytes but check and end."""
         assert self.check is not None

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from itertools import groupby
 
 import msgspec
 
@@ -108,8 +109,10 @@ def print_choice(out: SourceText, name: str, choice: Choice) -> None:
     )
 
 
-def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
-    """Return the scan function of a wire: `framings` with the name of the function that decodes their packets."""
+def print_stream(label: str, framings: Sequence[tuple[Framing, str]], answering: Collection[int] = ()) -> str:
+    """Return the scan function of a wire: `framings` with the name of the function that decodes their packets. Those whose
+    numbers are in `answering` are tried only where `asked()` names them.
+    """
     out = SourceText()
     out.lines(
         f'"""Stream scanner of {comment_line(label)}: generated from its spec."""',
@@ -133,8 +136,21 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     out.line("bad = None")
     if len(framings) > 1:
         out.line("unclaimed = 0")
-    for number, (framing, decode) in enumerate(framings):
-        _framing(out, number, framing, decode, alone=len(framings) == 1)
+    if answering:
+        out.line("answers = asked()")
+    for first, some in groupby(range(len(framings)), lambda number: _first_byte(framings[number][0])):
+        run = list(some)
+        known = first if len(run) > 1 else None
+        if known is not None:
+            out.line(f"if buffer[i] in {_set_of(known)}:")
+        for number in run:
+            out.depth = 2 + (known is not None)
+            if number in answering:
+                out.line(f"if {number} in answers:")
+                out.depth += 1
+            framing, decode = framings[number]
+            _framing(out, number, framing, decode, alone=len(framings) == 1, known=known)
+        out.depth = 2
     if len(framings) > 1:
         out.lines(
             "if unclaimed:",
@@ -181,8 +197,26 @@ def seek_pattern(framings: Sequence[Framing]) -> bytes:
     return b"|".join(dict.fromkeys(parts))
 
 
-def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    """Print one framing's block, which falls out of its bottom when the candidate is dead or bad."""
+def _first_byte(framing: Framing) -> Collection[int] | None:
+    """Return what the first byte of a packet may be, where its framing has no sync and `_framing` asks for it."""
+    if framing.sync or not framing.match or not _has_sized_start(framing):
+        return None
+    head, numbers = framing.match[0]
+    return numbers if head.offset == 0 and head.size == 1 else None
+
+
+def _framing(
+    out: SourceText,
+    number: int,
+    framing: Framing,
+    decode: str,
+    *,
+    alone: bool,
+    known: Collection[int] | None = None,
+) -> None:
+    """Print one framing's block, which falls out of its bottom when the candidate is dead or bad. `known` says that its
+    first byte has been asked for.
+    """
     if framing.end and framing.stuffing is None and not _is_judged(framing):
         _ended(out, number, framing, decode, alone=alone)
         return
@@ -196,7 +230,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         out.line(f"if starts({literal(sync)}, i):")
         out.depth += 1
     depth = out.depth
-    for head, numbers in framing.match:
+    for head, numbers in framing.match[known is not None :]:
         _more(out, f"end - i <= {head.offset}")
         out.line(f"elif buffer[i + {head.offset}] in {_set_of(numbers)}:")
         out.depth += 1

@@ -9,13 +9,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..counts import ScanCounts
 from ..declare.checks import Sums, fletcher_of, xor_of
 from ..declare.framing import DEAD, Framing, Verdict
-from ..declare.message import GivenWay, Way, way_of
+from ..declare.message import GivenWay, Message, Way, way_of
 from ..declare.protocol import Variant
 from ..declare.stuffing import Insert
 from ..generate.load import load_source
@@ -39,6 +39,30 @@ class _State:
 
     def __init__(self) -> None:
         self.work = 0
+
+
+class _AskedFramings:
+    """The framings of answers without a mark that are to be judged now, by their numbers in the scan function."""
+
+    def __init__(
+        self,
+        awaited: Callable[[float | None], Sequence[tuple[Message, Any]]],
+        framings: Mapping[int, Framing],
+    ) -> None:
+        self._awaited, self.framings = awaited, framings
+        unmarked = [number for number, framing in framings.items() if not framing.sync and not framing.match]
+        self._first = frozenset(unmarked[:1])
+        #: What was awaited last, and the framings of these answers.
+        self._known: tuple[Sequence[Any], frozenset[int]] = ((), self._first)
+
+    def now(self, time: float | None) -> frozenset[int]:
+        """Return the numbers: those of awaited answers, or the first of those that no byte marks."""
+        answers = self._awaited(time)
+        if answers is not self._known[0]:
+            these = {id(message.framing) for message, _ in answers}
+            numbers = frozenset(n for n, framing in self.framings.items() if id(framing) in these)
+            self._known = answers, numbers if answers else self._first
+        return self._known[1]
 
 
 class StreamScanner:
@@ -66,7 +90,13 @@ class StreamScanner:
         #: By the number of the framing: its checks, where they are sums.
         self._overlaps: dict[int, Overlaps] = {}
         self.reset()
+        parts: list[_AskedFramings] = []
         for decider in self.deciders:
+            answering = {
+                n: f for n, f in enumerate(decider.framings, len(framings)) if f in decider.answering
+            }
+            if answering:
+                parts.append(_AskedFramings(decider.context.awaited, answering))
             for framing in decider.framings:
                 number = len(framings)
                 decode = f"packet_{number}"
@@ -85,7 +115,11 @@ class StreamScanner:
         #: Seconds of silence after which no packet goes on.
         self.gap = max((framing.gap or 0.0 for framing in self.framings), default=0.0)
         label = " + ".join(variant.label for variant in variants)
-        self.source = print_stream(label, framings)
+        asked: list[int] = []
+        if len(framings) > 1 and parts:
+            asked = [number for part in parts for number in part.framings]
+            names["asked"] = self._asks(parts)
+        self.source = print_stream(label, framings, asked)
         if all(framing.sync for framing in self.framings):
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         space = load_source(self.source, f"aces {label} stream scanner {direction or ''}", names)
@@ -155,21 +189,32 @@ class StreamScanner:
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
 
+    def _asks(self, parts: Sequence[_AskedFramings]) -> Callable[[], frozenset[int]]:
+        """Return a function that gives the numbers of the framings of answers without a mark that are to be judged."""
+        if len(parts) == 1:
+            only = parts[0]
+            return lambda: only.now(self.time)
+        return lambda: frozenset().union(*(part.now(self.time) for part in parts))
+
     def _judge_answers(
         self, framing: Framing, decider: Decider
     ) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
         """Judge packets of answers that no byte marks: they are looked for, and waited for, while one is awaited."""
         awaited, extras = decider.context.awaited, framing.extras_of(decider.messages)
         dead = unasked = verdict_of(DEAD, 0)
+        # The request that was awaited last, and its bytes: they are the same at each byte.
+        known: tuple[Any, bytes] = (None, b"")
         if not framing.sync and not framing.match:
             unasked = ("bad", 0, decider.context.needs(decider.unmarked))
 
         def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
+            nonlocal known
             answers = awaited(self.time)
             for message, request in answers:
                 if message.framing is framing:
-                    asked = message.question(request)
-                    judged = framing.judge(buffer, start, silent=silent, extras=extras, request=asked)
+                    if known[0] is not request:
+                        known = request, message.question(request)
+                    judged = framing.judge(buffer, start, silent=silent, extras=extras, request=known[1])
                     return verdict_of(judged, start)
             return dead if answers else unasked
 
