@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.controller import controller
+from aces_bus.controller import IGNORE, controller
 from aces_bus.controller.trip import Action
 from aces_bus.device import Robot
 from aces_bus.device.config import Park
@@ -99,6 +99,52 @@ def test_a_joint_that_does_not_follow_ends_it() -> None:
     assert ended.parked == []
     assert "RKN: it is at 0.2" in ended.not_parked["RKN"]
     assert are_off(run)
+
+
+def lose(seconds: float) -> Callable[[Runner], None]:
+    """The knee's board answers nothing for so long."""
+
+    def begin(run: Runner) -> None:
+        board = run.world.twins["JMC2"]
+        board.fault("silent")
+        run.clock.call_in(round(seconds * 1e9), lambda: board.fault("silent", on=False))
+
+    return begin
+
+
+def test_late_answers_make_it_wait() -> None:
+    """While it is not known where a joint is, no joint goes on; then all go on, and are parked."""
+    ended, run, given = park(lose(0.4))
+    assert (sorted(ended.parked), ended.not_parked, ended.not_stopped) == (["RHP", "RKN"], {}, {})
+    assert run.rig["RKN"].last == pytest.approx(0.1, abs=0.02)
+    most_ns = max(late - early for (early, _), (late, _) in pairwise(given))
+    assert 200_000_000 < most_ns < 450_000_000
+    assert all(abs(after - before) <= SPEED / 100 * 1.01 for (_, before), (_, after) in pairwise(given))
+
+
+def test_a_joint_that_stays_lost_ends_it() -> None:
+    """After a second, for all: the joint is named, and what answers is off."""
+    ended, run, given = park(lose(1000.0))
+    assert ended.parked == []
+    assert ended.not_parked == dict.fromkeys(("RKN", "RHP"), "RKN: it is not known where it is")
+    assert given[-1][1] > 0.17
+    assert not run.world.twins["JMC1"].channels[0].control_on
+
+
+def test_a_joint_that_was_lost_before_is_left_where_it_is() -> None:
+    """Nobody knows where it is when the way begins: a second later the others set out."""
+    run = run_virtual(
+        leg(), [bend], rate_hz=100, at_end="park", reactions={"silent": IGNORE, "no reply": IGNORE}
+    )
+    with run:
+        run.do("enable", devices=["JMC1", "JMC2"])
+        run.start()
+        run.clock.wait(lambda: False, 1_500_000_000)
+        lose(1000.0)(run)
+        run.clock.wait(lambda: False, 500_000_000)
+        ended = run.stop()
+    assert ended.parked == ["RHP"]
+    assert ended.not_parked == {"RKN": "it is not known where it is"}
 
 
 def tripped(

@@ -3,6 +3,7 @@
 1. Ctrl-C, SIGTERM and every other signal that would kill it end it as if its time were up: what was received is shown and
    counted, and what is not whole is not written. Only SIGKILL and a fault of the interpreter do not.
 2. Waiting is done in steps, so that a signal never waits long; the last step ends at the deadline.
+3. A signal that comes after Python has looked for signals and before a read blocks is not lost: `_Waker` ends the read.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import islice
 from types import FrameType
 from typing import Any, Self, TypeVar
 
@@ -24,6 +26,49 @@ ENDING = ("TERM", "HUP", "QUIT", "USR1", "USR2", "XCPU", "ALRM", "VTALRM", "PROF
 #: Signals that would suspend a program which reads or writes its terminal from the background.
 OF_TERMINALS = ("TTIN", "TTOU")
 SUSPENDED = b"\naces: Ctrl-Z ends this and stops what moves: a suspended program cannot look after motors\n"
+
+
+#: Interrupts a blocking call of the main thread, and does nothing else: who ignores it by default loses nothing.
+NUDGE: int | None = getattr(signal, "SIGURG", None)
+#: After a signal the main thread is nudged this often (s apart): it may not have begun to block.
+NUDGES_S = (0.0, 0.01, 0.1, 0.5, 2.0)
+
+
+class _Waker:
+    """Nudges the main thread after each signal, so that it looks for signals even in a read that nothing ends.
+
+    Python's own handler tells of each signal by a byte in a pipe; a thread waits for it.
+    """
+
+    def __init__(self, nudge: int) -> None:
+        self._nudge, self._main = nudge, threading.get_ident()
+        self._is_over = threading.Event()
+        self._reading, self._writing = os.pipe()
+        os.set_blocking(self._writing, False)
+        self._before = signal.signal(nudge, lambda number, frame: None)
+        self._told = signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
+        self._thread = threading.Thread(target=self._watch, name="aces-signals", daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        while not self._is_over.is_set():
+            if set(os.read(self._reading, 512)) == {self._nudge}:
+                continue  # the bytes of nudges
+            for seconds in NUDGES_S:
+                if self._is_over.wait(seconds):
+                    return
+                signal.pthread_kill(self._main, self._nudge)
+
+    def close(self) -> None:
+        """End the thread; signals are told to whom they were told before."""
+        signal.set_wakeup_fd(self._told)
+        self._is_over.set()
+        with suppress(BlockingIOError):  # full: it does not wait
+            os.write(self._writing, b"\0")
+        self._thread.join()
+        signal.signal(self._nudge, self._before)
+        os.close(self._reading)
+        os.close(self._writing)
 
 
 class Patience:
@@ -43,9 +88,12 @@ class Patience:
         self._is_waiting = self._is_stopping = False
         self._before: dict[int, Any] = {}
         self._is_ours = threading.current_thread() is threading.main_thread()
+        self._waker: _Waker | None = None
 
     def __enter__(self) -> Self:
         if self._is_ours:
+            if NUDGE is not None:
+                self._waker = _Waker(NUDGE)
             self._before[signal.SIGINT] = signal.signal(signal.SIGINT, self._interrupted)
             for name in ENDING:
                 self._take(name, self._interrupted)
@@ -69,6 +117,9 @@ class Patience:
         for number, before in self._before.items():
             signal.signal(number, before)
         self._before.clear()
+        if self._waker is not None:
+            self._waker.close()
+            self._waker = None
 
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
         was_over, self.is_over = self.is_over, True
@@ -107,11 +158,11 @@ class Patience:
         """Yield the items, until there are no more or Ctrl-C is pressed."""
         iterator = iter(items)
         while not self.is_over:
-            try:
-                with self.waiting():
-                    if self.is_over:  # a Ctrl-C between the two: nothing would end the waiting
-                        return
-                    item = next(iterator)
-            except (StopIteration, KeyboardInterrupt):
+            found: list[T] = []
+            with suppress(KeyboardInterrupt), self.waiting():
+                if self.is_over:  # a Ctrl-C between the two: nothing would end the waiting
+                    return
+                found.extend(islice(iterator, 1))  # not `next`: a Ctrl-C behind it would drop the item
+            if not found:
                 return
-            yield item
+            yield found[0]

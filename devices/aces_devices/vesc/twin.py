@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import pi
 from random import Random
 from typing import ClassVar
 
@@ -38,11 +39,13 @@ class VescMotorTwin(Twin):
         self.model.lead()
 
     def draw(self, dice: Random, share: float = 1.0) -> None:
-        """Have its motor turn, either way, and be warm (°C)."""
-        motor = self.model.motor
-        motor.sync(self.clock.now())
-        motor.v = self.model.scale.speed(dice.uniform(-SPEED, SPEED) * share)
+        """Have its motor turn, either way, and be warm (°C); it turns on from an angle within half a turn."""
+        motor, scale = self.model.motor, self.model.scale
+        speed = scale.speed(dice.uniform(-SPEED, SPEED) * share)
         self.model.warm = round(dice.uniform(-20.0, 110.0) * share, 1)
+        jammed, motor.jammed = motor.jammed, False
+        motor.place(self.clock.now(), scale.angle(dice.uniform(-pi, pi) * share))
+        motor.v, motor.jammed = speed, jammed
 
     def power(self, on: bool) -> None:
         """See `Twin.power`; without power the motor runs out."""
