@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .protocol.live.scanner import make_scanner
     from .protocol.record import Unknown, as_dict
     from .python_can import frame_to_message
+    from .recordings.convert import convert
     from .recordings.decode import decode
     from .recordings.open import open_recording
     from .robot.installed import list_robots, load_robot
@@ -28,6 +29,7 @@ __all__ = [
     "FrameTable",
     "Unknown",
     "as_dict",
+    "convert",
     "decode",
     "frame_to_message",
     "list_protocols",
@@ -51,6 +53,7 @@ __getattr__, __dir__ = lazy_names(
         ".protocol.live.scanner": "make_scanner",
         ".protocol.record": "Unknown as_dict",
         ".python_can": "frame_to_message",
+        ".recordings.convert": "convert",
         ".recordings.decode": "decode",
         ".recordings.open": "open_recording",
         ".robot.installed": "list_robots load_robot",

@@ -1,7 +1,8 @@
-"""Text of others made harmless where it goes: to a terminal, into a cell of a spreadsheet.
+"""Text of others made harmless where it goes: to a terminal, into a cell of a spreadsheet, into a page.
 
 1. Nothing is dropped: what cannot go as it is, is spelt out.
-2. Our own drawings and signs have look-alikes in ASCII, for terminals and files that have no others (`LOOKALIKES` as the
+2. A page of HTML gets texts as texts: tables that notebooks show are escaped here, and bounded.
+3. Our own drawings and signs have look-alikes in ASCII, for terminals and files that have no others (`LOOKALIKES` as the
    `errors` of an encoding).
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import codecs
 import re
 import unicodedata
+from collections.abc import Iterable, Sequence
 
 #: What a spreadsheet takes for the beginning of a formula; a number with its sign is none.
 FORMULA = r"^[=+\-@\t\r]"
@@ -88,11 +90,45 @@ def text_of_cell(cell: str) -> str:
     return cell[1:] if cell.startswith("'") and cell_text(cell[1:]) == cell else cell
 
 
+#: What a page shows of a table: rows, and characters of a cell.
+MOST_ROWS, LONGEST_CELL = 30, 120
+
+
+def html_table(
+    title: str, head: Sequence[str], rows: Iterable[Sequence[str]], total: int | None = None
+) -> str:
+    """Return a table as HTML, for notebooks: every text escaped and cut, at most `MOST_ROWS` rows.
+
+    `total` is the number of rows where `rows` are only the first of them.
+
+    >>> html_table("lamp", ["field"], [["<b>"]])
+    '<table><caption>lamp</caption><tr><th>field</th></tr><tr><td>&lt;b&gt;</td></tr></table>'
+    """
+    import html
+
+    rows = list(rows)
+    total = len(rows) if total is None else total
+    shown = rows[:MOST_ROWS]
+
+    def cell(text: str, kind: str) -> str:
+        text = text if len(text) <= LONGEST_CELL else text[: LONGEST_CELL - 1] + "…"
+        return f"<{kind}>{html.escape(printable(text))}</{kind}>"
+
+    lines = ["".join(cell(text, "th") for text in head)]
+    lines += ["".join(cell(text, "td") for text in row) for row in shown]
+    if total > len(shown):
+        lines.append(cell(f"… {total - len(shown):,} more", "td"))
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table>{cell(title, 'caption')}{body}</table>"
+
+
 __all__ = [
     "FORMULA",
     "LOOKALIKES",
+    "MOST_ROWS",
     "NUMBER",
     "cell_text",
+    "html_table",
     "printable",
     "printable_lines",
     "text_of_cell",

@@ -13,8 +13,9 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        44_600,
-        "e-stops, stops through the lock, parking, measured limits; the language of issue 30; C source left;"
+        44_780,
+        "pictures, notebooks and conversion of issue 34;"
+        " e-stops, stops through the lock, parking, measured limits; the language of issue 30; C source left;"
         " fields by bits read where they stand",
     ),
     "statements of the kernel": (
@@ -23,7 +24,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
         " two scales, payloads from the header;"
         " packets that come by two transports; answers without a head",
     ),
-    "public names": (179, "what a check covers of the request; quantities of two scales"),
+    "public names": (180, "what a check covers of the request; quantities of two scales"),
     "members of public names": (900, ""),
     "names of seams": (
         455,

@@ -48,7 +48,7 @@ FLOORS: dict[str, set[str]] = {
     "plugins": set(),  # what installed packages bring
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
-    "recordings": {"protocol"},
+    "recordings": {"protocol", "export"},
     "export": {"protocol"},  # tables on disk, whole or kill-safe
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus

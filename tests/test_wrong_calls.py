@@ -35,13 +35,6 @@ def test_a_protocol_is_not_its_variants() -> None:
             make_scanner(given)
 
 
-def test_several_recordings_are_not_one() -> None:
-    """`decode([a, b])` says how several are read."""
-    paths: Any = ["a.log", "b.log"]
-    with pytest.raises(CallerError, match="decode reads one recording"):
-        decode(paths, "odrive")
-
-
 def test_a_column_s_name_is_proposed(tmp_path: Path) -> None:
     """A misspelt column raises with the nearest; a table's text is one line."""
     log = tmp_path / "walk.log"

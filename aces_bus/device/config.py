@@ -376,6 +376,25 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     reduced: Reduced | None = None
     park: Park | None = None
 
+    def __repr__(self) -> str:
+        counts = {"bus": self.buses, "device": self.devices, "joint": self.joints, "sensor": self.sensors}
+        there = (f"{len(of)} {what}{'es' if what == 'bus' else 's'}" for what, of in counts.items())
+        return f"<robot {self.name}: {', '.join(there)}>"
+
+    def _repr_html_(self) -> str:
+        from ..plain_text import html_table
+
+        def told(*limits: float | None) -> str:
+            return " … ".join("" if limit is None else f"{limit:.4g}" for limit in limits)
+
+        rows = [
+            [joint.name, joint.device, joint.command, told(joint.lower, joint.upper), told(joint.max_speed)]
+            for joint in self.joints.values()
+        ]
+        rows += [[sensor.name, sensor.device, sensor.kind, "", ""] for sensor in self.sensors.values()]
+        head = ["joint or sensor", "device", "", "from … to (rad, m)", "fastest (per s)"]
+        return html_table(f"{self.name}: {self.doc or ''}".rstrip(": "), head, rows)
+
     def joint(self, name: str) -> Joint:
         """Return the joint of this name or alias; raises `UnknownNameError`."""
         found = self.joints.get(name) or next((j for j in self.joints.values() if name in j.aliases), None)

@@ -5,14 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .declare.message import GivenWay
 from .declare.protocol import Configuration, DeclaredProtocol
 
 if TYPE_CHECKING:
-    from .columns.decode import DecodedRecording
     from .live.scanner import Scanner
 
 
@@ -50,28 +48,11 @@ class Protocol(DeclaredProtocol):
             check_thread=check_thread,
         )
 
-    def decode(
-        self,
-        capture: Any,
-        *,
-        message: str | Collection[str] | None = None,
-        dialect: str | None = None,
-        configuration: str | Configuration | None = None,
-        direction: GivenWay | None = None,
-        include_unknown: bool = False,
-        raw: bool = False,
-    ) -> DecodedRecording:
-        """Return a whole capture as columns: a mapping from messages to tables; see `columns.decode.decode_tables`.
+    def _repr_html_(self) -> str:
+        from ..plain_text import html_table
 
-        `capture` is opened already (`aces_bus.decode` takes a path), or an iterable of frames, frame tables or bytes.
-        """
-        from .columns.decode import decode_tables
-
-        return decode_tables(
-            self.variant(dialect, configuration),
-            capture,
-            message=message,
-            direction=direction,
-            include_unknown=include_unknown,
-            raw=raw,
-        )
+        rows = [
+            [name, message.direction or "", ", ".join(message.fields), message.doc]
+            for name, message in self.variant().messages.items()
+        ]
+        return html_table(f"{self.name} ({self.link})", ["message", "direction", "fields", ""], rows)

@@ -285,6 +285,10 @@ class Runner:
 
     # ------------------------------------------------------------------ running
 
+    def __repr__(self) -> str:
+        seconds = f", {self.seconds:.3f} s" if self._run.phase == "running" else ""
+        return f"<run of {self.rig.robot.name}: {self._run.phase}{seconds}>"
+
     def __enter__(self) -> Runner:
         self.open()
         return self

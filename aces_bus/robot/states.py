@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import msgspec
@@ -15,6 +16,7 @@ from ..controller.door import Door
 from ..device.config import KalmanConfig, StateConfig
 from ..device.reading import UNKNOWN
 from ..errors import CallerError, UnknownNameError
+from ..plain_text import MOST_ROWS, html_table
 from ..state import ConstantAcceleration, ConstantVelocity, Hold, Kalman, State
 from .rig import Rig
 
@@ -88,6 +90,17 @@ class States(Mapping[str, State]):
             if "history" in options or "history_s" in options:
                 known = {key: value for key, value in known.items() if key not in ("history", "history_s")}
             self._declared[whole] = {**known, **options}
+
+    def __repr__(self) -> str:
+        return f"<states of {self.rig.robot.name}: {len(self)}>"
+
+    def _repr_html_(self) -> str:
+        rows: list[list[str]] = []
+        for name in islice(self, MOST_ROWS):
+            state = self[name]
+            age = "" if state.age_s is None else f"{state.age_s:.3g}"
+            rows.append([name, f"{state.last!r}", state.unit or "", age])
+        return html_table(repr(self)[1:-1], ["state", "value", "", "age (s)"], rows, len(self))
 
     def whole(self, name: str) -> str:
         """Return the full name of a state; raises `UnknownNameError` with those that exist."""

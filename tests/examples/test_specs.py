@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from aces_bus import Unknown, as_dict
+from aces_bus import Unknown, as_dict, decode
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.testing import Fuzzer
@@ -90,7 +90,7 @@ def test_a_recording_of_an_inertial_unit(shared_captures: Path) -> None:
     items = [item for one in records for item in one.fields]
     assert {item.reason for item in items} <= {None, "unknown"}
     assert all(mip.encode(type(one).__name__, **as_dict(one)) == one.meta.raw for one in records)
-    table = mip.decode(data, direction="from device")["Sensors"]
+    table = decode(data, mip, direction="from device")["Sensors"]
     accel = [one.fields for one in records if type(one).__name__ == "Sensors"]
     firsts = [next((item.data[2] for item in fields if item.kind == "accel"), None) for fields in accel]
     assert table["fields.accel.2"].to_list() == firsts

@@ -1,19 +1,19 @@
-"""`protocol.decode(capture)`: a whole capture as tables, and these as Arrow, pandas and polars."""
+"""`decode(capture, protocol)`: a whole capture as tables, and these as Arrow, pandas and polars."""
 
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 import pytest
-from construct import Byte, Float32l, GreedyBytes, Int16sl, Struct
+from construct import Byte, Float32l, GreedyBytes, Int8ub, Int16sl, Int16ub, PaddedString, Struct
 
-import aces_bus
-from aces_bus import Frame, FrameTable, as_dict, load_protocol, open_recording
-from aces_bus.errors import CallerError, CaptureError, UnknownNameError
+from aces_bus import Frame, FrameTable, as_dict, decode, load_protocol, open_recording
+from aces_bus.errors import AcesError, CallerError, CaptureError, UnknownNameError
 from aces_bus.protocol import BitLayout, Enumeration, Multiplexed, Protocol, Quantity, bits
 from aces_bus.recordings.base import Chunk
 
@@ -56,7 +56,7 @@ frame("Sample", payload=Struct("value" / Int16sl))
 
 def test_a_capture_becomes_tables() -> None:
     """Messages by name, in declared order, with the counts of the whole."""
-    decoded = lamp.decode(FRAMES)
+    decoded = decode(FRAMES, lamp)
     assert list(decoded) == ["State", "Raw", "Pages"]
     assert decoded["State"]["level"].to_list() == [0.5, -0.1]
     assert decoded["State"]["mode"].to_list() == ["on", 7]
@@ -87,7 +87,7 @@ def test_a_capture_becomes_tables() -> None:
 )
 def test_anything_that_gives_frames(capture: Any) -> None:
     """Tables, frames of either kind, lists and generators."""
-    decoded = lamp.decode(capture)
+    decoded = decode(capture, lamp)
     assert decoded["State"]["level"].values[0] == 0.5
     assert decoded.counts.balance == 0
 
@@ -97,7 +97,7 @@ def test_long_iterables_are_decoded_in_pieces() -> None:
     frames = [
         Frame(0x10, b"\x00" + (n % 9).to_bytes(2, "little"), n / 100, f"can{n % 3}") for n in range(40_000)
     ]
-    table = lamp.decode(iter(frames))["State"]
+    table = decode(iter(frames), lamp)["State"]
     assert table.row.tolist() == list(range(40_000))
     assert [table.channels.names[number] for number in table.channel[:3].tolist()] == ["can0", "can1", "can2"]
     assert np.array_equal(table["level"].values, (np.arange(40_000) % 9) * 0.1)
@@ -112,32 +112,32 @@ def test_streams() -> None:
         [Chunk(data, 12.5)],
         open_recording(io.BytesIO(data), link="serial"),
     ):
-        decoded = packets.decode(capture)
+        decoded = decode(capture, packets)
         assert decoded["Sample"]["value"].to_list() == [1, 2]
         assert decoded.counts.skipped == 1
-    timed = packets.decode([Chunk(data[:4], 12.5), Chunk(data[4:], 13.0)])
+    timed = decode([Chunk(data[:4], 12.5), Chunk(data[4:], 13.0)], packets)
     assert timed["Sample"].time.tolist() == [12_500_000_000, 13_000_000_000]
 
 
 def test_one_message_and_the_losses() -> None:
     """`message` keeps some messages, `include_unknown` adds what was not decoded; counts stay those of the whole."""
-    decoded = lamp.decode(FRAMES, message="Raw", include_unknown=True)
+    decoded = decode(FRAMES, lamp, message="Raw", include_unknown=True)
     assert list(decoded) == ["Raw", ""]
     assert decoded[""]["reason"].to_list() == ["unknown"]
     assert decoded.counts.decoded == 5
-    assert list(lamp.decode(FRAMES, message=["Raw", "State"])) == ["State", "Raw"]
+    assert list(decode(FRAMES, lamp, message=["Raw", "State"])) == ["State", "Raw"]
 
 
 @pytest.mark.parametrize(
     ("call", "complaint"),
     [
-        (lambda: lamp.decode(FRAMES, message="Lamp"), "no message of lamp named 'Lamp'"),
-        (lambda: lamp.decode(FRAMES)["Lamp"], "no message of lamp named 'Lamp'"),
-        (lambda: lamp.decode("walk.log"), "aces_bus.decode"),
-        (lambda: lamp.decode([b"abc"]), "cannot decode a bytes"),
-        (lambda: lamp.decode(open_recording(io.BytesIO(b"abc"), link="serial")), "a capture on serial"),
-        (lambda: load_protocol("robotis").decode(b"\xff\xff"), "direction"),
-        (lambda: aces_bus.decode("walk.log", "hubbo"), "did you mean 'hubo'"),
+        (lambda: decode(FRAMES, lamp, message="Lamp"), "no message of lamp named 'Lamp'"),
+        (lambda: decode(FRAMES, lamp)["Lamp"], "no message of lamp named 'Lamp'"),
+        (lambda: decode("walk.log", lamp), "no such file"),
+        (lambda: decode([b"abc"], lamp), "cannot decode a bytes"),
+        (lambda: decode(open_recording(io.BytesIO(b"abc"), link="serial"), lamp), "a capture on serial"),
+        (lambda: decode(b"\xff\xff", load_protocol("robotis")), "direction"),
+        (lambda: decode("walk.log", "hubbo"), "did you mean 'hubo'"),
     ],
 )
 def test_wrong_calls(call: Any, complaint: str) -> None:
@@ -149,7 +149,7 @@ def test_wrong_calls(call: Any, complaint: str) -> None:
 @pytest.mark.slow
 def test_a_path_is_opened_at_the_top() -> None:
     """`aces_bus.decode` opens a recording and decodes it with a protocol or its name."""
-    found = aces_bus.decode(EXAMPLES / "hubo2plus.log", "hubo")
+    found = decode(EXAMPLES / "hubo2plus.log", "hubo")
     assert found.counts.total == 1243
     with open_recording(EXAMPLES / "hubo2plus.log", link="can") as capture:
         scanner: Any = load_protocol("hubo").scanner()
@@ -158,12 +158,12 @@ def test_a_path_is_opened_at_the_top() -> None:
     assert [as_dict(one)["position"] for one in records] == [
         list(pair) for pair in zip(table["position.0"].to_list(), table["position.1"].to_list(), strict=True)
     ]
-    session = aces_bus.decode(EXAMPLES / "robotis_session.bin", load_protocol("robotis"), direction="both")
+    session = decode(EXAMPLES / "robotis_session.bin", load_protocol("robotis"), direction="both")
     assert session.counts.records == sum(map(len, session.values())) == 144
     with pytest.raises(CaptureError, match="no such file"):
-        aces_bus.decode(EXAMPLES / "absent.log", "hubo")
+        decode(EXAMPLES / "absent.log", "hubo")
     with pytest.raises(UnknownNameError):
-        aces_bus.decode(EXAMPLES / "hubo2plus.log", "hubo", dialect="D99")
+        decode(EXAMPLES / "hubo2plus.log", "hubo", dialect="D99")
 
 
 def test_values_may_stay_raw() -> None:
@@ -173,7 +173,7 @@ def test_values_may_stay_raw() -> None:
     assert (record.mode, record.level) == (1, 10)
     (record,) = lamp.scanner().feed([frame])
     assert (record.mode, record.level) == ("on", 1.0)
-    table = lamp.decode([frame], raw=True)["State"]
+    table = decode([frame], lamp, raw=True)["State"]
     assert (table["mode"].to_list(), table["level"].to_list()) == ([1], [10])
 
 
@@ -187,13 +187,13 @@ def test_a_python_file_is_a_protocol(tmp_path: Path) -> None:
         "beacon.message('State', id=0x10, payload=Struct('level' / Quantity(Byte, scale=0.5, unit='V')))\n"
     )
     log.write_text("(1.0) can0 010#05\n")
-    assert aces_bus.decode(log, str(spec))["State"]["level"].to_list() == [2.5]
-    assert aces_bus.decode(log, f"{spec}:beacon", raw=True)["State"]["level"].to_list() == [5]
+    assert decode(log, str(spec))["State"]["level"].to_list() == [2.5]
+    assert decode(log, f"{spec}:beacon", raw=True)["State"]["level"].to_list() == [5]
     assert load_protocol(str(spec)) is load_protocol(f"{spec}:beacon")
     with pytest.raises(UnknownNameError, match="lantern"):
-        aces_bus.decode(log, f"{spec}:lantern")
+        decode(log, f"{spec}:lantern")
     with pytest.raises(CallerError, match="no such file"):
-        aces_bus.decode(log, str(tmp_path / "absent.py"))
+        decode(log, str(tmp_path / "absent.py"))
 
 
 def test_a_database_is_a_protocol_and_losses_are_told(tmp_path: Path) -> None:
@@ -206,9 +206,9 @@ def test_a_database_is_a_protocol_and_losses_are_told(tmp_path: Path) -> None:
     log = tmp_path / "drive.log"
     log.write_text("(1.0) can0 100#0400000000000000\nnonsense\n")
     with pytest.warns(UserWarning, match=r"car\.dbc: 1 of \d+ statements was left out; first: line 5"):
-        found = aces_bus.decode(log, str(database))
+        found = decode(log, str(database))
     assert found["Engine"]["Speed"].values.tolist() == [1.0]
-    assert (found.capture.lines_unreadable, found.capture.problems[0].line) == (1, 2)
+    assert (found.recordings[0].lines_unreadable, found.recordings[0].problems[0].line) == (1, 2)
 
 
 # ---------------------------------------------------------------------- frames of other libraries
@@ -217,7 +217,7 @@ def test_a_database_is_a_protocol_and_losses_are_told(tmp_path: Path) -> None:
 def test_pandas() -> None:
     """Dates, categories, nullable integers, objects as records have them; units in `attrs`."""
     pandas = pytest.importorskip("pandas")
-    decoded = lamp.decode(FRAMES)
+    decoded = decode(FRAMES, lamp)
     frame = decoded.to_pandas("State")
     assert list(frame.columns) == ["time", "channel", "id", "extended", "rx", "mode", "level"]
     assert frame["time"].iloc[0] == pandas.Timestamp(1_500_000_000, unit="s", tz="UTC")
@@ -237,14 +237,14 @@ def test_pandas() -> None:
     assert pages["high"].tolist()[1] == 0x41 & 0x3F
     assert len(decoded.to_pandas("Float")) == 0
     assert (
-        str(lamp.decode([Frame(0x12, bytes(4), 2.5)]).to_pandas("Float")["time"].dtype) == "timedelta64[ns]"
+        str(decode([Frame(0x12, bytes(4), 2.5)], lamp).to_pandas("Float")["time"].dtype) == "timedelta64[ns]"
     )
 
 
 def test_arrow_and_polars() -> None:
     """The columns of the files, in memory."""
     pytest.importorskip("pyarrow")
-    decoded = lamp.decode(FRAMES)
+    decoded = decode(FRAMES, lamp)
     table = decoded.to_arrow("State", names=True)
     assert table["mode"].to_pylist() == ["on", "7"]
     assert table.schema.field("level").metadata == {b"unit": b"lx"}
@@ -271,7 +271,92 @@ def test_missing_libraries(module: str, method: str, said: str, monkeypatch: pyt
     """Each says what to install."""
     import sys
 
-    decoded = lamp.decode(FRAMES)
+    decoded = decode(FRAMES, lamp)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(CallerError, match=said):
         getattr(decoded, method)("State")
+
+
+def test_several_recordings_are_one(tmp_path: Path) -> None:
+    """Frames of several files come by time; bytes of several come one after the other, a packet over both among them."""
+    first, second = tmp_path / "first.log", tmp_path / "second.log"
+    first.write_text("(2.0) can0 060#78000000FCFFFFFF\n(4.0) can0 060#7A000000FCFFFFFF\nodd line\n")
+    second.write_text("(3.0) can1 060#79000000FCFFFFFF\n")
+    walk = decode([first, str(second)], "hubo", configuration="hubo2plus")
+    table = walk["Encoder"]
+    assert table["position.0"].values.tolist() == [120, 121, 122]
+    assert [table.channels.names[number] for number in table.channel] == ["can0", "can1", "can0"]
+    assert [one.lines_unreadable for one in walk.recordings] == [1, 0]
+
+    data = (EXAMPLES / "robotis_session.bin").read_bytes()
+    parts = tmp_path / "a.bin", tmp_path / "b.bin"
+    parts[0].write_bytes(data[:101])
+    parts[1].write_bytes(data[101:])
+    both, whole = (decode(source, "robotis", direction="both") for source in (list(parts), data))
+    assert both.counts == whole.counts
+    assert {name: len(table) for name, table in both.items()} == {n: len(t) for n, t in whole.items()}
+
+
+def test_a_decoded_recording_is_saved(tmp_path: Path) -> None:
+    """`save` writes what other libraries read, all messages or the only one; a suffix of no format is refused."""
+    pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    walk = decode(EXAMPLES / "hubo2plus.log", "hubo")
+    walk.save(tmp_path / "walk.parquet")
+    assert pq.read_table(tmp_path / "walk.parquet" / "Encoder.parquet").num_rows == 350
+    decode(EXAMPLES / "hubo2plus.log", "hubo", message="Encoder").save(tmp_path / "encoder.parquet")
+    found = pq.read_table(tmp_path / "encoder.parquet")["position.0"].to_pylist()
+    assert found == walk["Encoder"]["position.0"].to_list()
+    with pytest.raises(CallerError, match="its suffix says no format"):
+        walk.save(tmp_path / "walk.txt")
+
+
+def test_signals_are_drawn() -> None:
+    """A unit is a pair of axes; each line has the values of its column, broken where frames pause; names are texts."""
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("agg")
+    spec = Protocol("lamp", link="can")
+    level, hot = Quantity(Int16ub, unit="$lx$"), Quantity(Int8ub, unit="°C")
+    spec.message("State", id=0x12, payload=Struct("level" / level, "hot" / hot))
+    times = [10.0, 10.1, 10.2, 13.0, 13.1]
+    lamps = decode([Frame(0x12, bytes([0, n, 20 + n]), t) for n, t in enumerate(times)], spec)
+    upper, lower = lamps.plot("State.level", "State.hot")
+    assert (upper.get_ylabel(), lower.get_ylabel(), lower.get_xlabel()) == (r"\$lx\$", "°C", "s")
+    [line] = upper.lines
+    seconds, values = line.get_xdata(), line.get_ydata()
+    assert np.allclose(seconds, [0, 0.1, 0.2, 0.2, 3.0, 3.1])
+    assert np.array_equal(values, [0, 1, 2, np.nan, 3, 4], equal_nan=True)
+    assert [len(lamps.plot("State")), line.get_label()] == [2, "State.level"]
+    upper.figure.canvas.draw()  # no formula in any text
+    pyplot.close("all")
+    assert np.array_equal(lamps["State"].take(slice(2)).plot("hot")[0].lines[0].get_ydata(), [20, 21])
+    pyplot.close("all")
+    calls: list[tuple[Callable[[], object], str]] = [
+        (lambda: lamps.plot(), "plot takes names of signals"),
+        (lambda: lamps.plot("Stat.hot"), "did you mean 'State'"),
+        (lambda: lamps["State"].plot("hott"), "did you mean 'hot'"),
+    ]
+    for wrong, words in calls:
+        with pytest.raises(AcesError, match=words):
+            wrong()
+
+
+def test_tables_and_specs_draw_themselves_in_notebooks() -> None:
+    """Notebooks show the first rows with units, and how many more there are; hostile texts stay texts."""
+    walk = decode(EXAMPLES / "hubo2plus.log", "hubo")
+    shown = walk["Encoder"]._repr_html_()
+    assert shown.count("<tr>") == 1 + 30 + 1
+    assert "<th>position.0 (count)</th>" in shown
+    assert "<td>… 320 more</td>" in shown
+    assert "<td>Encoder</td><td>350</td>" in walk._repr_html_()
+    assert "<td>GetBoardInfo</td><td>to device</td>" in load_protocol("hubo")._repr_html_()
+    spec = Protocol("lamp", link="can")
+    spec.message(
+        "Say", id=0x12, payload=Struct("text" / PaddedString(8, "ascii")), doc="<script>alert(1)</script>"
+    )
+    table = decode([Frame(0x12, b"<b>&\x1b[2J")], spec)
+    for page in (table["Say"]._repr_html_(), table._repr_html_(), spec._repr_html_()):
+        assert "<b>" not in page
+        assert "<script" not in page
+        assert "\x1b" not in page

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from aces_bus import decode
 from aces_bus.protocol import Record
 from aces_protocols.crsf.spec import crsf
 from tests.oracles.foreign import oracle
@@ -34,7 +35,7 @@ def read(data: bytes) -> list[Record]:
     scanner = crsf.scanner()
     records: list[Any] = [*scanner.feed(data), *scanner.close()]
     assert scanner.counts.decoded == len(data)
-    for name, table in crsf.decode(data).items():
+    for name, table in decode(data, crsf).items():
         mine = [record for record in records if type(record).__name__ == name]
         for column in table.names:
             if "." not in column:

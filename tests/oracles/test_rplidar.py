@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import serial
 
+from aces_bus import decode
 from aces_devices.rplidar import EXAMPLE, driver
 from aces_devices.rplidar.twin import NOISE, SERIAL, WALLS
 from aces_protocols.rplidar.spec import EXPRESS, rplidar
@@ -42,7 +43,7 @@ def test_measurements_mean_the_same() -> None:
         wanted.append((turn, quality, angle, distance))
     records = rplidar.scanner(direction="from device").feed(data)
     assert [(r.turn, r.quality, r.angle, r.distance) for r in records] == wanted
-    table = rplidar.decode(data, direction="from device")["Measurement"]
+    table = decode(data, rplidar, direction="from device")["Measurement"]
     assert table["angle"].to_list() == [angle for _, _, angle, _ in wanted]
     assert table["distance"].to_list() == [distance for _, _, _, distance in wanted]
 

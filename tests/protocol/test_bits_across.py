@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from construct import Byte, Default, Float32l, Int16sl, Int16ub, Int16ul, Struct, this
 
+from aces_bus import decode
 from aces_bus.errors import AcesError, FieldError, SpecError
 from aces_bus.protocol import BitLayout, Crc, Enumeration, Protocol, Quantity, Split, TwoScales, bits
 from aces_bus.protocol.draw.table import FieldRow
@@ -92,7 +93,7 @@ def test_a_number_has_bits_in_header_and_payload() -> None:
         wanted.append((values["turn"], quality, angle / 64, distance / 4))
     found = [(r.turn, r.quality, r.angle, r.distance) for r in made.scanner().feed(data)]
     assert found == wanted
-    table = made.decode(data)["Node"]
+    table = decode(data, made)["Node"]
     assert table["angle"].to_list() == [angle for _, _, angle, _ in wanted]
     message = made.messages["Node"]
     assert message.struct.parse(data[:5]).angle == wanted[0][2]
@@ -151,7 +152,7 @@ def test_every_raw_number_of_two_scales_is_the_same_everywhere() -> None:
     packets = [bytes(message.struct.build({"height": raw}, raw=True)) for raw in raws]
     live = [record.height for record in made.scanner().feed(b"".join(packets))]
     assert all(type(value) is float for value in live)
-    columns = made.decode(b"".join(packets))["Height"]["height"]
+    columns = decode(b"".join(packets), made)["Height"]["height"]
     assert columns.values.dtype == "f8"
     assert columns.to_list() == live
     assert all(

@@ -29,7 +29,7 @@ from construct import (
 )
 
 import aces_bus.protocol as protocol_words
-from aces_bus import Frame, Unknown, as_dict, make_scanner
+from aces_bus import Frame, Unknown, as_dict, decode, make_scanner
 from aces_bus.errors import CallerError, FieldError, SpecError
 from aces_bus.protocol import (
     AsciiNumber,
@@ -59,7 +59,7 @@ def everywhere(protocol: Protocol, data: bytes, identifier: int = 1) -> Any:
     scanner = protocol.scanner(include_unknown=True)
     (record,) = scanner.feed([frame])
     (found,) = Reference([protocol.variant()]).frames([frame])
-    tables = protocol.decode([frame], include_unknown=True)
+    tables = decode([frame], protocol, include_unknown=True)
     if isinstance(record, Unknown):
         assert (found.message, found.reason) == (None, record.reason)
         assert "M" not in tables or not len(tables["M"])
@@ -246,7 +246,7 @@ def test_a_match_of_the_length_holds_when_reading_and_writing() -> None:
     found = wire.scanner(include_unknown=True).feed(data)
     assert [None if isinstance(one, Unknown) else type(one).__name__ for one in found] == wanted
     assert [one.message for one in Reference([wire.variant()]).stream(data)] == wanted
-    assert {name: len(table) for name, table in wire.decode(data).items()} == {"A": 2, "B": 1}
+    assert {name: len(table) for name, table in decode(data, wire).items()} == {"A": 2, "B": 1}
     assert wire.encode("A", kind=1, d=bytes(8)) == made(1, 8)
     with pytest.raises(FieldError, match=r"A: a packet of 7 bytes has length 3; this message has 4, 8"):
         wire.encode("A", kind=1, d=bytes(3))
@@ -437,7 +437,7 @@ def test_names_that_a_scale_makes_equal_to_numbers_are_refused() -> None:
     for number, value in ((2**63, 2**63), (2**63 + 1, "none"), (2**63 + 2, 2**63 + 2)):
         frame = Frame(1, number.to_bytes(8, "little"))
         (record,) = exact.scanner().feed([frame])
-        assert (record.v, exact.decode([frame])["M"]["v"].to_list()) == (value, [value])
+        assert (record.v, decode([frame], exact)["M"]["v"].to_list()) == (value, [value])
 
 
 def test_a_time_that_is_none_has_no_nanoseconds() -> None:

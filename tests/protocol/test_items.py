@@ -31,7 +31,7 @@ from construct import (
     this,
 )
 
-from aces_bus import as_dict
+from aces_bus import as_dict, decode
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import (
     BitLayout,
@@ -216,7 +216,7 @@ def test_columns_have_the_first_item_of_each_kind() -> None:
         + packet("01 09 00 01 01 00")
         + packet("02 01 02 FFFF 04 01 41")
     )
-    table = protocol.decode(data)["M"]
+    table = decode(data, protocol)["M"]
     assert table.names == (
         "seq", "items", "items.temperature", "items.gyro.0", "items.gyro.1", "items.state.mode", "items.state.faults",
         "items.text", "items.key.number")  # fmt: skip
@@ -239,7 +239,7 @@ def test_multiplexed_data_of_an_item() -> None:
     items = read(protocol, "00 01 02 01 07 01 03 02 0102 01 02 02 07")["items"]
     assert [one["data"] for one in items] == [
         {"which": 1, "one": 7, "two": None}, {"which": 2, "one": None, "two": 258}, b"\x02\x07"]  # fmt: skip
-    assert protocol.decode(packet("00 01 02 02 07 01 03 02 0102"))["M"]["items.a.two"].to_list() == [258]
+    assert decode(packet("00 01 02 02 07 01 03 02 0102"), protocol)["M"]["items.a.two"].to_list() == [258]
 
 
 GROUP = Struct("id" / Byte, "level" / Quantity(Int16sb, unit="dB", scale=0.5))
@@ -273,7 +273,7 @@ def test_groups_of_one_shape(payload: Struct, data: str, count: int | None) -> N
     fields = read(protocol, data)
     assert fields["groups"] == [{"id": 1, "level": 2}, {"id": 2, "level": -1}]
     assert fields.get("count") == count
-    table = protocol.decode(packet(data) * 2)["M"]
+    table = decode(packet(data) * 2, protocol)["M"]
     assert table["groups.id"].to_list() == [[1, 2], [1, 2]]
     assert table["groups.level"].to_list() == [[2, -1], [2, -1]]
     assert table["groups.level"].kind.unit == "dB"
@@ -315,7 +315,7 @@ def test_lists_inside_items_have_columns() -> None:
     """Read by construct, and every kind's values are columns all the same; what is two lists deep is one value."""
     protocol = lists_in_items()
     assert protocol.variant()["M"].plan.opaque == "lists of items inside one another"
-    table = protocol.decode(packet(NESTED) * 2)["M"]
+    table = decode(packet(NESTED) * 2, protocol)["M"]
     found = {column.kind.name: column.to_list()[1] for column in table.columns()}
     assert {"seq": found.pop("seq"), "items": found.pop("items")} == read(protocol, NESTED)
     assert found == {
@@ -337,7 +337,7 @@ def test_lists_inside_items_have_columns() -> None:
 
 def test_a_bad_item_costs_itself_among_lists_too() -> None:
     """Half a group: the item is bytes with the reason, its columns are absent."""
-    table = lists_in_items().decode(packet("00 01 04 09 03 08 04 04 01 63"))["M"]
+    table = decode(packet("00 01 04 09 03 08 04 04 01 63"), lists_in_items())["M"]
     assert table["items.sky.time"].to_list() == [None]
     assert table["items.plain"].to_list() == [99]
 
@@ -419,7 +419,7 @@ def test_satellites_are_as_pyubx2_reads_them(shared_captures: Path) -> None:
     )
     frame("Satellites", match={"group": 1, "number": 0x35}, payload=payload)
     data = (shared_captures / "streams" / "ubx-nav.bin").read_bytes()
-    table = ubx.decode(data)["Satellites"]
+    table = decode(data, ubx)["Satellites"]
     at = int(table.row[0])
     size = int(table.size[0]) if table.size is not None else 0
     theirs = pyubx2.UBXReader.parse(data[at : at + size])

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from construct import GreedyBytes, Struct
 
-from aces_bus import Frame, FrameTable, Unknown
+from aces_bus import Frame, FrameTable, Unknown, decode
 from aces_bus.protocol import FastPacket, IdField, Protocol
 
 #: The fast packets among the golden files' parameter groups.
@@ -73,7 +73,7 @@ def test_golden_files_of_canboat(name: str, refused: list[int], shared_captures:
         scanner = protocol.scanner(include_unknown=True)
         records = [one for one in scanner.feed(frames) if not isinstance(one, Unknown)]
         given += records
-        decoded = protocol.decode(FrameTable.from_frames(frames))
+        decoded = decode(FrameTable.from_frames(frames), protocol)
         scanner.close()
         assert sum(map(len, decoded.values())) == len(records)
         assert decoded.counts == scanner.counts

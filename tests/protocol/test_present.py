@@ -21,7 +21,7 @@ from construct import (
     this,
 )
 
-from aces_bus import Frame
+from aces_bus import Frame, decode
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, Sum, bits
 from aces_bus.testing import law_tests
@@ -145,9 +145,8 @@ def test_missing_values_beside_fields_that_are_there_by_bits() -> None:
         "load" / Present("flags", 0, Byte),
     )
     made.message("State", id=0x10, payload=payload)
-    table = made.decode(
-        [made.encode("State", flags=0, speed=None), made.encode("State", flags=1, speed=3, load=4)]
-    )
+    frames = [made.encode("State", flags=0, speed=None), made.encode("State", flags=1, speed=3, load=4)]
+    table = decode(frames, made)
     assert table["State"]["speed"].to_list() == [None, 3]
     assert table["State"]["speed"].kind.optional
 

@@ -29,7 +29,7 @@ from construct import (
     this,
 )
 
-from aces_bus import Frame, FrameTable, Unknown, as_dict, make_column_scanner, make_scanner
+from aces_bus import Frame, FrameTable, Unknown, as_dict, decode, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError, FieldError, SpecError
 from aces_bus.protocol import (
     BitLayout,
@@ -385,7 +385,7 @@ def test_a_layouts_only_field_keeps_its_byte_order(size: int, *, signed: bool) -
     wanted = int.from_bytes(data, "big", signed=signed)
     (record,) = made.scanner().feed([Frame(1, data)])
     assert record.a == wanted
-    assert made.decode([Frame(1, data)])["Full"]["a"].values.tolist() == [wanted]
+    assert decode([Frame(1, data)], made)["Full"]["a"].values.tolist() == [wanted]
     assert bytes(made.encode("Full", a=wanted).data) == data
     assert made["Full"].payload.parse(data).a == wanted
 

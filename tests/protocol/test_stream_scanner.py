@@ -21,7 +21,7 @@ from construct import (
     this,
 )
 
-from aces_bus import Frame, Unknown, make_column_scanner, make_scanner
+from aces_bus import Frame, Unknown, decode, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError, FieldError
 from aces_bus.protocol import Counter, Crc, IdField, InvertedSum, Protocol
 from aces_bus.protocol.live.stream import StreamScanner
@@ -325,12 +325,12 @@ def test_directions_are_said_in_either_words() -> None:
             [type(one).__name__ for one in robotis.scanner(direction=word).feed(reply)] for word in given
         ]
         assert names[0] == names[1]
-        assert len({robotis.decode(reply, direction=word).counts.records for word in given}) == 1
+        assert len({decode(reply, robotis, direction=word).counts.records for word in given}) == 1
     bogus: Any = "bogus"
     variant = robotis.variant()
     for refuses in (
         lambda: robotis.scanner(direction=bogus),
-        lambda: robotis.decode(b"", direction=bogus),
+        lambda: decode(b"", robotis, direction=bogus),
         lambda: StreamScanner([variant], direction=bogus),
         lambda: Reference([variant], direction=bogus),
         lambda: variant.messages_for(bogus),

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from construct import GreedyBytes, Int32ul, Struct
 
-from aces_bus import Frame
+from aces_bus import Frame, decode
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Protocol, Reserved, TailByte
 from tests.specs.cyphal_like import cyphal_like
@@ -65,7 +65,7 @@ def test_checks_hold_in_columns_too() -> None:
             data = bytearray(frame.data)
             data[0] ^= place == 1 and number % 10 == 3
             given.append(Frame(frame.arbitration_id, bytes(data), is_extended_id=True))
-    decoded = dronecan_like.decode(given)
+    decoded = decode(given, dronecan_like)
     assert decoded["EscStatus"]["errors"].values.tolist() == [n for n in range(40) if n % 10 != 3]
     assert decoded.counts.reasons == {"malformed: checksum": 12}
 

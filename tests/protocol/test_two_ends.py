@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from construct import Byte, GreedyBytes, Struct
 
-from aces_bus import make_column_scanner
+from aces_bus import decode, make_column_scanner
 from aces_bus.errors import FieldError
 from aces_bus.protocol import Check, Crc, Protocol, Sum, Xor
 from aces_bus.protocol.reference import Reference
@@ -97,5 +97,5 @@ def test_half_a_log_with_bare_line_feeds_is_read_as_the_same_records(tmp_path: P
     """A log whose carriage returns were lost by a program on its way gives the records of the whole one."""
     line = b"$GPGLL,4916.45,N,12311.12,W,225444,A,*1D\r\n"
     data = line * 500
-    one, other = nmea0183.decode(data), nmea0183.decode(data.replace(b"\r\n", b"\n"))
+    one, other = decode(data, nmea0183), decode(data.replace(b"\r\n", b"\n"), nmea0183)
     assert one.counts.records == other.counts.records == 500

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aces_bus import Frame
+from aces_bus import Frame, decode
 from aces_bus.errors import FieldError
 from aces_protocols.moteus.spec import moteus
 from aces_protocols.moteus.subframes import register_values
@@ -111,7 +111,7 @@ def test_registers_are_columns() -> None:
         )
         for n in range(3)
     ]
-    table = moteus.decode(frames)["Reply"]
+    table = decode(frames, moteus)["Reply"]
     assert table["subframes.position"].values.dtype == np.float64
     assert table["subframes.position"].values.tolist() == [0.0, 0.25, 0.5]
     assert table["subframes.mode"].to_list() == ["stopped", "position", "position"]

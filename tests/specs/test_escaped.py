@@ -20,7 +20,7 @@ from construct import (
     this,
 )
 
-from aces_bus import Unknown
+from aces_bus import Unknown, decode
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Escaped, Protocol, Slip, Sum
 from aces_bus.protocol.explain.tracer import Tracer
@@ -59,7 +59,7 @@ def test_construct_agrees_on_both_sides_of_the_escape(size: int) -> None:
     (item,) = Reference([xbus_like.variant()]).stream(packet)
     assert item.fields is not None
     assert item.fields["items"] == data
-    table = xbus_like.decode(packet * 3)["MtData2"]
+    table = decode(packet * 3, xbus_like)["MtData2"]
     assert table["items"].to_list() == [data] * 3
     for cut in (1, 3, 5, 6, 1000, 10_000):
         scanner = xbus_like.scanner()

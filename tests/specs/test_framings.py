@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus import Unknown, as_dict
+from aces_bus import Unknown, as_dict, decode
 from aces_bus.errors import FieldError
 from aces_bus.protocol import Cobs, Insert, Protocol, Slip
 from aces_bus.protocol.declare.stuffing import Stuffing
@@ -214,7 +214,7 @@ def test_hexadecimal_digits_are_read_in_either_case() -> None:
         assert (scanner.counts.decoded, scanner.counts.total) == (len(data), len(data))
         reference = Reference([nmea0183.variant()]).stream(data)
         assert [found.message for found in reference] == ["ZDA", "GST"]
-        tables = nmea0183.decode(data)
+        tables = decode(data, nmea0183)
         assert [len(tables[name]) for name in ("ZDA", "GST")] == [1, 1]
         pieces = nmea0183.scanner()
         assert [r.meta.message for byte in data for r in pieces.feed(bytes([byte]))] == ["ZDA", "GST"]
@@ -241,7 +241,7 @@ def test_sentences_with_a_broken_end_do_not_run_together() -> None:
     )
     found = [item.message for item in Reference([nmea0183.variant()]).stream(data) if item.message]
     assert found == ["HDT", "HDT"]
-    assert len(nmea0183.decode(data)["HDT"]) == 2
+    assert len(decode(data, nmea0183)["HDT"]) == 2
     with pytest.raises(FieldError, match="HDT: no packet may have one of the bytes 24 inside it"):
         nmea0183.encode("HDT", talker="GP", heading=1.0, heading_mark="$", more=[])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from construct import Byte, Float32l, Int8sl, Int16sl, Int16ul, Int32ul, Int64ul, Struct
 
-from aces_bus import Frame, FrameTable
+from aces_bus import Frame, FrameTable, decode
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, Protocol, Quantity, SignMagnitude, bits, top
 from aces_bus.protocol.exchange import print_dbc
@@ -85,7 +85,7 @@ def test_every_reader_has_the_same_values_unknown() -> None:
     frames = [Frame(0x0CF00400, data, is_extended_id=True) for data in EDGES]
     live = protocol.scanner().feed(frames)
     slow = [item.fields or {} for item in Reference([protocol.variant()]).frames(frames)]
-    table = protocol.decode([FrameTable.from_frames(frames)])["Engine"]
+    table = decode([FrameTable.from_frames(frames)], protocol)["Engine"]
     for name, limit, number in (
         ("torque", 251, lambda data: data[0]),
         ("speed", 0xFE00, lambda data: data[1] | data[2] << 8),

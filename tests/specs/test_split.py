@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from aces_bus import decode
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, Protocol, Quantity, SignMagnitude, Split, bits
 from aces_bus.testing import Fuzzer
@@ -59,7 +60,7 @@ def test_it_is_the_number_of_a_layout(
     fields = {name: getattr(mine, name) for name in ("before", "number", "behind")}
     assert fields == {name: getattr(theirs, name) for name in fields}
     assert bytes(one.encode("Place", **fields).data) == bytes(frame.data)
-    assert one.decode([frame])["Place"]["number"].values.tolist() == [mine.number]
+    assert decode([frame], one)["Place"]["number"].values.tolist() == [mine.number]
 
 
 def test_the_laws_hold_of_it() -> None:

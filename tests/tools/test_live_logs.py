@@ -18,7 +18,7 @@ import can
 import numpy as np
 import pytest
 
-from aces_bus import Frame, FrameTable, load_protocol, make_column_scanner, open_recording
+from aces_bus import Frame, FrameTable, decode, load_protocol, make_column_scanner, open_recording
 from aces_bus.errors import CallerError
 from aces_bus.export import open_export, recover_parts
 from aces_tools.live_log import LiveRecording, LogSeries, PendingFile
@@ -200,7 +200,7 @@ def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert parquet.read_table(folder).equals(closed)
     assert closed.num_rows == 350
     with open_recording("examples/captures/hubo2plus.log", link="can") as capture:
-        once = load_protocol("hubo").decode(capture)["Encoder"]
+        once = decode(capture, load_protocol("hubo"))["Encoder"]
     assert np.array_equal(closed["position.1"].to_numpy(), once["position.1"].values)
     assert list((tmp_path / "walk.parquet").rglob("_*")) == []
     with pytest.raises(CallerError, match="nothing is to recover"):

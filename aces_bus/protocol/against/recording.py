@@ -40,7 +40,7 @@ def check_recordings(
     """Return what recordings say against a spec, by file and line; what comments in the spec allow is left out.
 
     `spec` is a protocol (in its default dialect and configuration), a variant, or all variants that share the wire.
-    `captures` are recordings of `aces_bus.recordings`, or whatever else `Protocol.decode` takes, one after the other.
+    `captures` are recordings of `aces_bus.recordings`, or whatever else `aces_bus.decode` takes, one after the other.
     `direction` is that of streams which do not say it: "to device", "from device" or "both".
 
     Raises `CallerError` where bytes alone do not tell the messages apart and no direction is given, or for what is no

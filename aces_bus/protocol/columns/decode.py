@@ -1,4 +1,4 @@
-"""A whole capture as columns: a mapping from messages to tables.
+"""A whole capture as columns: tables by message.
 
 1. Everything is in memory: a capture that does not fit is decoded piece by piece (`make_column_scanner`), or into a file
    (`aces decode -o`, `aces_bus.export`).
@@ -7,86 +7,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import CallerError, UnknownNameError
 from ...frame_table import Channels, FrameTable
 from ..counts import ScanCounts, sum_counts
 from ..declare.message import GivenWay, Way, way_of
 from ..declare.protocol import Variant
-from .arrow import to_arrow, to_pandas, to_polars
-from .layout import Holds, Objects, empty_table
 from .scanner import ColumnScanner, RecordColumns, make_column_scanner
 from .table import MessageTable
 
-if TYPE_CHECKING:
-    import pandas
-    import polars
-    import pyarrow
-
 #: Frames that are put into a table at once where a capture gives them one by one.
 PIECE = 16_384
-
-
-class DecodedRecording(Mapping[str, MessageTable]):
-    """Messages by name, each the table of the whole capture; messages that did not occur are not among the keys.
-
-        decoded = hubo.decode(capture)
-        decoded["Encoder"]["position.0"].values     # an array, in the sheet's unit
-        decoded.to_pandas("Encoder")
-        decoded.counts                              # where every frame or byte went
-        decoded.capture.lines_unreadable            # of `aces_bus.decode(path, …)`; also .problems, .others
-
-    The table named "" is what was not decoded, where that was asked for (`include_unknown`).
-    """
-
-    def __init__(self, variant: Variant, tables: Mapping[str, MessageTable], counts: ScanCounts) -> None:
-        self.variant = variant
-        self.counts = counts
-        #: The recording, read and closed, where it was opened here: what of it could not be read is counted there.
-        self.capture: Any = None
-        self._tables = dict(tables)
-        self._objects = Objects([variant])
-
-    def __getitem__(self, message: str) -> MessageTable:
-        """Return the table of a message, without rows when it did not occur; raises `UnknownNameError`."""
-        if message in self._tables:
-            return self._tables[message]
-        if message not in self.variant.messages:
-            raise UnknownNameError(f"message of {self.variant.label}", str(message), self.variant.messages)
-        return empty_table(self.variant, message)
-
-    def __contains__(self, message: object) -> bool:
-        return message in self._tables
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._tables)
-
-    def __len__(self) -> int:
-        return len(self._tables)
-
-    def __repr__(self) -> str:
-        rows = ", ".join(f"{name or 'not decoded'}: {len(table)}" for name, table in self._tables.items())
-        return f"<{self.variant.label}: {rows}>"
-
-    def to_arrow(self, message: str, *, names: bool = False, float32: bool = False) -> pyarrow.Table:
-        """Return a message's table as a `pyarrow.Table`; see `aces_bus.export.to_arrow`."""
-        table = self[message]
-        return to_arrow(table, names=names, float32=float32, objects=self._of(table))
-
-    def to_pandas(self, message: str, *, names: bool = False, float32: bool = False) -> pandas.DataFrame:
-        """Return a message's table as a `pandas.DataFrame`; see `aces_bus.export.to_pandas`."""
-        return to_pandas(self[message], names=names, float32=float32)
-
-    def to_polars(self, message: str, *, names: bool = False, float32: bool = False) -> polars.DataFrame:
-        """Return a message's table as a `polars.DataFrame`; see `aces_bus.export.to_polars`."""
-        table = self[message]
-        return to_polars(table, names=names, float32=float32, objects=self._of(table))
-
-    def _of(self, table: MessageTable) -> dict[str, Holds]:
-        return self._objects.of(table)
 
 
 def decode_tables(
@@ -97,13 +31,11 @@ def decode_tables(
     direction: GivenWay | None = None,
     include_unknown: bool = False,
     raw: bool = False,
-) -> DecodedRecording:
-    """Return all messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames
-    (also of python-can), chunks or bytes; bytes may also be given as they are.
+) -> tuple[dict[str, MessageTable], ScanCounts]:
+    """Return the tables of all messages of a capture, and where its frames or bytes went.
 
-    `message` limits what is kept to one or several messages; the counts stay those of the whole. `direction` is that of
-    a stream which does not say it: "to device" ("to"), "from device" ("from") or "both". With `include_unknown`, what was
-    not decoded is the table named "". `raw` leaves out units, scales and names.
+    The capture is one of `aces_bus.recordings`, or an iterable of frame tables, frames (also of python-can), chunks or
+    bytes; bytes may also be given as they are. The other arguments are those of `aces_bus.decode`.
 
     Raises `UnknownNameError` for a message that the protocol does not have, `CallerError` where bytes alone do not tell
     the messages apart and no direction is given, `CaptureError` where reading stops.
@@ -138,7 +70,7 @@ def decode_tables(
     order = {name: place for place, name in enumerate(variant.messages)}
     names = sorted(parts, key=lambda name: order.get(name, len(order)))
     tables = {name: MessageTable.concat(parts[name]) for name in names}
-    return DecodedRecording(variant, tables, sum_counts(scanner.counts for scanner in scanners.values()))
+    return tables, sum_counts(scanner.counts for scanner in scanners.values())
 
 
 def feed(scanner: ColumnScanner, traffic: Any, time: float | None) -> list[MessageTable]:
@@ -171,8 +103,8 @@ def capture_pieces(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | 
         capture = [capture]
     elif isinstance(capture, str) or not hasattr(capture, "__iter__"):
         raise CallerError(
-            f"{type(capture).__name__} is not a capture: open it (aces_bus.recordings.open_recording), give frames or bytes,"
-            " or call aces_bus.decode(path, protocol)"
+            f"{type(capture).__name__} is no recording: decode takes a path or several, what open_recording returns, frames,"
+            " or bytes"
         )
     if is_can:
         for table in _tables_of(capture.tables() if hasattr(capture, "tables") else capture, variant):

@@ -13,14 +13,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ...errors import UnknownNameError
 from ...frame_table import NO_TIME, Channels
+from ...plain_text import MOST_ROWS, html_table
 from ..plan import nodes as p
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = npt.NDArray[Any]
 
@@ -178,6 +182,14 @@ class MessageTable:
         names = ", ".join(self.names[:8]) + (", …" if len(self.names) > 8 else "")
         return f"<{self.protocol} {self.message}: {len(self)} rows of {len(self.names)} columns ({names})>"
 
+    def _repr_html_(self) -> str:
+        head = self.take(slice(MOST_ROWS))
+        heads = [kind.name + (f" ({kind.unit})" if kind.unit else "") for kind in self.kinds]
+        cells = [[str(value) for value in column.to_list()] for column in head.columns()]
+        times = ["" if np.isnan(second) else f"{second:.6f}" for second in head.seconds]
+        rows = list(zip(times, *cells, strict=True))
+        return html_table(f"{self.protocol} {self.message}", ["time (s)", *heads], rows, len(self))
+
     def __contains__(self, name: object) -> bool:
         return name in self._by_name
 
@@ -212,6 +224,17 @@ class MessageTable:
             None if self.frames is None else self.frames[which],
             None if self.first_time is None else self.first_time[which],
         )
+
+    def plot(self, *columns: str) -> list[Axes]:
+        """Draw columns over time, or all numbers: a pair of axes for each unit, which are returned from top to bottom.
+
+        The figure is pyplot's; lines are broken where a value is absent and where messages pause for more than ten times
+        their usual period. Raises `UnknownNameError` for a column that does not exist, `TypeError` for one of texts or
+        bytes, `CallerError` where nothing is a number or matplotlib is not installed.
+        """
+        from .plot import plot_signals
+
+        return plot_signals([(self, name) for name in columns or (None,)])
 
     @cached_property
     def seconds(self) -> Array:
