@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from aces_bus.protocol.declare.checks import Check, Crc, DataIds, Extra, IdBytes, RequestBytes, Sum
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import Check, Crc, DataIds, Extra, IdBytes, Message, RequestBytes, Sum
 
 from .c_language import NotInC, c_hex, refuse_if
 

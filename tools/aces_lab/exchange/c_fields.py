@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from aces_bus.protocol.declare.pattern import IdField
+from aces_bus.protocol import IdField
 from aces_bus.protocol.plan import nodes as p
 
 from .c_language import NotInC, c_hex, is_among, refuse_if, terms_of, unsigned_bits, word_of, written

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
+from aces_bus.protocol import Crc, Transport
 from aces_bus.protocol.declare.bits import runs_of, whole_bits
-from aces_bus.protocol.declare.checks import Crc
 from aces_bus.protocol.declare.pattern import IdPattern
-from aces_bus.protocol.declare.transport import FrameKind, FrameNumber, Transport
+from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
 
 
 def bit_pieces(bits: Sequence[int]) -> list[list[int]]:

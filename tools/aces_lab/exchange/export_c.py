@@ -19,12 +19,10 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
+from aces_bus.protocol import IdField, Message, Variant
 from aces_bus.protocol.declare.bits import whole_bits
 from aces_bus.protocol.declare.fields import ROUNDING_ERROR
 from aces_bus.protocol.declare.head import Head
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.pattern import IdField
-from aces_bus.protocol.declare.protocol import Variant
 from aces_bus.protocol.exchange.names import PythonNames
 from aces_bus.protocol.exchange.problems import Loss
 from aces_bus.protocol.plan import nodes as p

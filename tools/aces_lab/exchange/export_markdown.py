@@ -11,12 +11,9 @@ from collections.abc import Iterable, Sequence
 
 import construct as c
 
-from aces_bus.protocol.declare.bits import BitLayout
-from aces_bus.protocol.declare.fields import Quantity
+from aces_bus.protocol import BitLayout, Message, Quantity, Variant
 from aces_bus.protocol.declare.framing import Framing
-from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.declare.pattern import describe_values
-from aces_bus.protocol.declare.protocol import Variant
 from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.exchange.problems import ProblemText

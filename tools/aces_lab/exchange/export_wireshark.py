@@ -15,13 +15,25 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Literal
 
+from aces_bus.protocol import (
+    Check,
+    Cobs,
+    Crc,
+    CutZeros,
+    DataIds,
+    Extra,
+    IdBytes,
+    Insert,
+    Message,
+    Slip,
+    Sum,
+    Variant,
+)
 from aces_bus.protocol.declare.ambiguity import needing_context, ordered, request_names
 from aces_bus.protocol.declare.bits import whole_bits
-from aces_bus.protocol.declare.checks import Check, Covered, Crc, DataIds, Extra, IdBytes, Sum
+from aces_bus.protocol.declare.checks import Covered
 from aces_bus.protocol.declare.framing import Framing, WideLength
-from aces_bus.protocol.declare.message import Direction, Message, way_of
-from aces_bus.protocol.declare.protocol import Variant
-from aces_bus.protocol.declare.stuffing import Cobs, CutZeros, Insert, Slip
+from aces_bus.protocol.declare.message import Direction, way_of
 from aces_bus.protocol.exchange.names import PythonNames
 from aces_bus.protocol.exchange.problems import Loss, ProblemText
 from aces_bus.protocol.plan import nodes as p
