@@ -49,7 +49,7 @@ class EntryBadges(msgspec.Struct, frozen=True):
         )
 
 
-class Entry(msgspec.Struct, frozen=True):
+class CatalogueEntry(msgspec.Struct, frozen=True):
     """A `[[device]]` of a manifest, or a spec without a manifest."""
 
     #: The folder of the manifest.
@@ -77,12 +77,14 @@ def read_saved(path: Path) -> dict[str, EntryBadges]:
     return msgspec.json.decode(path.read_bytes(), type=dict[str, EntryBadges])
 
 
-def read_manifest(path: Path) -> list[Entry]:
+def read_manifest(path: Path) -> list[CatalogueEntry]:
     """Return the entries of a manifest."""
     manifest = tomllib.loads(path.read_text(encoding="utf-8"))
-    fields = [field for field in Entry.__struct_fields__ if field != "folder"]
+    fields = [field for field in CatalogueEntry.__struct_fields__ if field != "folder"]
     return [
-        msgspec.convert({"folder": path.parent, **{k: v for k, v in device.items() if k in fields}}, Entry)
+        msgspec.convert(
+            {"folder": path.parent, **{k: v for k, v in device.items() if k in fields}}, CatalogueEntry
+        )
         for device in manifest.get("device", ())
     ]
 
@@ -100,7 +102,7 @@ def _folder_of(module: str) -> Path | None:
 
 
 @functools.cache
-def installed_entries() -> tuple[Entry, ...]:
+def installed_entries() -> tuple[CatalogueEntry, ...]:
     """Return the entries of all installed protocols and drivers that have a manifest beside them."""
     points = [*list_protocols().values(), *list_drivers().values()]
     folders = {_folder_of(point.value.partition(":")[0]) for point in points}
@@ -111,7 +113,7 @@ def installed_entries() -> tuple[Entry, ...]:
     )
 
 
-def entries_of(protocol: str) -> Iterator[Entry]:
+def entries_with(protocol: str) -> Iterator[CatalogueEntry]:
     """Yield the entries of an installed protocol."""
     return (entry for entry in installed_entries() if protocol in entry.protocols)
 
@@ -119,7 +121,7 @@ def entries_of(protocol: str) -> Iterator[Entry]:
 def badges_of(protocol: str) -> dict[str, str]:
     """Return the days of a protocol's badges, by level: the newest of its entries."""
     found: dict[str, str] = {}
-    for entry in entries_of(protocol):
+    for entry in entries_with(protocol):
         saved = entry.saved()
         for level, earned in ({} if saved is None else saved.badges).items():
             found[level] = max(found.get(level, ""), earned.date)
@@ -138,12 +140,12 @@ __all__ = [
     "LEVELS",
     "MANIFEST",
     "SAVED",
+    "CatalogueEntry",
     "Earned",
-    "Entry",
     "EntryBadges",
     "badges_of",
     "dated",
-    "entries_of",
+    "entries_with",
     "installed_entries",
     "read_manifest",
     "read_saved",

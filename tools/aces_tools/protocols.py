@@ -39,7 +39,7 @@ from aces_bus.protocol.generate.load import print_decoders
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.flatten import NotFlat, flatten, scalar_of
 
-from .badges import badges_of, dated, entries_of
+from .badges import badges_of, dated, entries_with
 from .console import counted, print_json, say
 from .options import COLOR, JSON, Arguments, argument, flag
 from .output.columns import Page
@@ -132,7 +132,7 @@ def _list(arguments: argparse.Namespace) -> int:
 def _searched(protocol: Protocol) -> str:
     """Return the text in which --search looks: names apart at underscores and capitals."""
     texts = [protocol.name, protocol.doc, protocol.source]
-    for entry in entries_of(protocol.name):
+    for entry in entries_with(protocol.name):
         texts += [entry.title, *entry.drivers, *entry.sources]
     for message in protocol.declared:
         texts += [message.name, re.sub(r"(?<=[a-z])(?=[A-Z])", " ", message.name), message.doc]
@@ -242,7 +242,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
 def _badge_lines(protocol: Protocol) -> list[str]:
     """Return a line for each entry of the catalogue: its badges with their days, or that they are stale."""
     lines: list[str] = []
-    for entry in entries_of(protocol.name):
+    for entry in entries_with(protocol.name):
         saved = entry.saved()
         if saved is not None:
             days = {level: earned.date for level, earned in saved.badges.items()}

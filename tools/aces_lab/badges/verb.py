@@ -50,10 +50,10 @@ from aces_tools.badges import (
     LEVELS,
     MANIFEST,
     SAVED,
+    CatalogueEntry,
     Earned,
-    Entry,
     EntryBadges,
-    entries_of,
+    entries_with,
     read_manifest,
     read_saved,
 )
@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(failed)
 
 
-def _print(entry: Entry, results: dict[str, Result]) -> None:
+def _print(entry: CatalogueEntry, results: dict[str, Result]) -> None:
     print(f"{entry.title} ({', '.join(entry.protocols)})")
     for level, result in results.items():
         got = result.why if result.earned is None else f"{result.earned.date}, {result.earned.ran}"
@@ -121,11 +121,11 @@ def _as_json(result: Result) -> dict[str, str]:
     return {"why_not": result.why} if result.earned is None else msgspec.structs.asdict(result.earned)
 
 
-def _entries(text: str, protocol: Protocol, source: str) -> list[Entry]:
+def _entries(text: str, protocol: Protocol, source: str) -> list[CatalogueEntry]:
     """Return the entries that a call names: those of a manifest, else the protocol by itself."""
     file = Path(protocol.place.file)
     beside = file.parent / MANIFEST
-    found = list(entries_of(text)) if text in list_protocols() else []
+    found = list(entries_with(text)) if text in list_protocols() else []
     if not found and beside.is_file():
         found = [entry for entry in read_manifest(beside) if protocol.name in entry.protocols]
     if found:
@@ -135,14 +135,16 @@ def _entries(text: str, protocol: Protocol, source: str) -> list[Entry]:
         if _is_file(source)
         else []
     )
-    return [Entry(file.parent, protocol.name, [protocol.name], drivers)]
+    return [CatalogueEntry(file.parent, protocol.name, [protocol.name], drivers)]
 
 
 def _is_file(source: str) -> bool:
     return source.partition(".py")[1] == ".py"
 
 
-def _results(entry: Entry, protocols: Sequence[Protocol], source: str, with_proof: bool) -> Iterator[Result]:
+def _results(
+    entry: CatalogueEntry, protocols: Sequence[Protocol], source: str, with_proof: bool
+) -> Iterator[Result]:
     yield _bronze(protocols)
     yield _silver(entry, protocols, source)
     yield _gold(entry)
@@ -169,7 +171,7 @@ def _bronze(protocols: Sequence[Protocol]) -> Result:
     return _today(f"the nine laws, {counted(examples, 'worked example')}")
 
 
-def _silver(entry: Entry, protocols: Sequence[Protocol], source: str) -> Result:
+def _silver(entry: CatalogueEntry, protocols: Sequence[Protocol], source: str) -> Result:
     """Run the conformance checks of all drivers."""
     if not entry.drivers:
         return Result(None, "no driver")
@@ -192,14 +194,14 @@ def _silver(entry: Entry, protocols: Sequence[Protocol], source: str) -> Result:
     return _today(f"{found.earned.ran}, {twins}")
 
 
-def _gold(entry: Entry) -> Result:
+def _gold(entry: CatalogueEntry) -> Result:
     """Run the tests that compare with a foreign program or a recording."""
     if not entry.oracle_tests:
         return Result(None, "no manifest names a test that compares: oracle_tests = […]")
     return _tested(entry, entry.oracle_tests)
 
 
-def _tested(entry: Entry, tests: Sequence[str]) -> Result:
+def _tested(entry: CatalogueEntry, tests: Sequence[str]) -> Result:
     """Run tests that a manifest names by their paths from a folder above it."""
     files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
     for root in entry.folder.parents:
@@ -280,7 +282,7 @@ def _proved_now(name: str) -> tuple[dict[str, str], str]:
     return texts, datetime.date.today().isoformat()
 
 
-def _save(entry: Entry, protocols: Sequence[Protocol], results: dict[str, Result]) -> None:
+def _save(entry: CatalogueEntry, protocols: Sequence[Protocol], results: dict[str, Result]) -> None:
     """Write an entry's badges beside its manifest; other entries of the folder keep theirs."""
     if not (entry.folder / MANIFEST).is_file():
         raise CallerError(
