@@ -85,6 +85,7 @@ CONTENTS: dict[str, list[str]] = {
         "estop",
         "logging",
         "foxglove",
+        "studio",
         "lerobot",
         "ros2",
         "twins",
