@@ -95,8 +95,8 @@ def test_traffic_shows_sorts_filters_and_saves(hubo: Page) -> None:
     click(driver, "th", "Count")
     eventually(lambda: texts(driver, "tr[data-row]")[0].startswith("001"))
     type_in(driver, "input", "board=3 and position.0>2000")
-    eventually(lambda: {row.split()[1] for row in texts(driver, "tr[data-row]")} <= {"Reference", "Encoder"})
-    assert "--where" in texts(driver, ".studio-command")[0]
+    eventually(lambda: {row.split()[1] for row in texts(driver, "tr[data-row]")} == {"Reference", "Encoder"})
+    eventually(lambda: "--where" in texts(driver, ".studio-command")[0])
     type_in(driver, "input", "nothing=3")
     eventually(lambda: any("nothing" in text for text in texts(driver, ".studio-bar")))
     type_in(driver, "input", "tilt")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aces_lab.studio.gate import MOST_SOCKETS, Gate, Message
+from aces_lab.studio.gate import MOST_SOCKETS, Message, PageGate
 
 PORT = 4711
 HOST, ORIGIN = f"127.0.0.1:{PORT}", f"http://127.0.0.1:{PORT}"
@@ -36,7 +36,7 @@ def _scope(kind: str, query: str = "", path: str = "/", client: str = "127.0.0.1
     }
 
 
-def answer(gate: Gate, scope: Message) -> list[Message]:
+def answer(gate: PageGate, scope: Message) -> list[Message]:
     """What the gate sends."""
     sent: list[Message] = []
 
@@ -50,11 +50,11 @@ def answer(gate: Gate, scope: Message) -> list[Message]:
     return sent
 
 
-def status(gate: Gate, scope: Message) -> int:
+def status(gate: PageGate, scope: Message) -> int:
     return int(answer(gate, scope)[0]["status"])
 
 
-def cookie(gate: Gate) -> str:
+def cookie(gate: PageGate) -> str:
     """The cookie that the token is exchanged for."""
     sent = answer(gate, _scope("http", f"token={gate.token}"))
     found = next(value for name, value in sent[0]["headers"] if name == b"set-cookie")
@@ -62,11 +62,11 @@ def cookie(gate: Gate) -> str:
 
 
 @pytest.fixture
-def gate() -> Gate:
-    return Gate(_page, PORT)
+def gate() -> PageGate:
+    return PageGate(_page, PORT)
 
 
-def test_the_token_becomes_a_cookie_and_leaves_the_address(gate: Gate) -> None:
+def test_the_token_becomes_a_cookie_and_leaves_the_address(gate: PageGate) -> None:
     """The token is exchanged at once for a cookie that scripts cannot read and other sites do not send."""
     sent = answer(gate, _scope("http", f"token={gate.token}"))
     headers = dict(sent[0]["headers"])
@@ -80,7 +80,7 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address(gate: Gate) -> None:
     assert status(gate, _scope("http", cookie=given.split(";")[0])) == 200
 
 
-def test_an_answer_carries_the_headers_of_the_gate(gate: Gate) -> None:
+def test_an_answer_carries_the_headers_of_the_gate(gate: PageGate) -> None:
     """The gate's headers take the place of the application's of the same name."""
     headers = answer(gate, _scope("http", cookie=cookie(gate)))[0]["headers"]
     assert dict(headers)[b"x-frame-options"] == b"DENY"
@@ -104,7 +104,7 @@ def test_an_answer_carries_the_headers_of_the_gate(gate: Gate) -> None:
         {"sec_fetch_site": "same-site"},
     ],
 )
-def test_another_origin_host_or_cookie_is_refused(gate: Gate, wrong: dict[str, str]) -> None:
+def test_another_origin_host_or_cookie_is_refused(gate: PageGate, wrong: dict[str, str]) -> None:
     """Pages of other origins, other names of this host and whoever has no cookie get 403, and a WebSocket is closed."""
     right = cookie(gate)
     given = {"cookie": right, **{name: value.replace("right", right) for name, value in wrong.items()}}
@@ -113,13 +113,13 @@ def test_another_origin_host_or_cookie_is_refused(gate: Gate, wrong: dict[str, s
     assert gate.refusals == 2
 
 
-def test_a_wrong_token_is_refused(gate: Gate) -> None:
+def test_a_wrong_token_is_refused(gate: PageGate) -> None:
     """A token of another run is refused, also with a cookie."""
     assert status(gate, _scope("http", "token=wrong")) == 403
     assert status(gate, _scope("http", "token=wrong", cookie=cookie(gate))) == 403
 
 
-def test_a_link_elsewhere_may_lead_here_with_the_token_alone(gate: Gate) -> None:
+def test_a_link_elsewhere_may_lead_here_with_the_token_alone(gate: PageGate) -> None:
     """A click on the address in a web mail is let in; what a page of another site loads is not."""
     token = f"token={gate.token}"
     assert status(gate, _scope("http", token, sec_fetch_site="cross-site", sec_fetch_mode="navigate")) == 303
@@ -127,12 +127,12 @@ def test_a_link_elsewhere_may_lead_here_with_the_token_alone(gate: Gate) -> None
     assert status(gate, _scope("http", "token=x", path="/other", cookie=cookie(gate))) == 200
 
 
-def test_another_machine_is_refused(gate: Gate) -> None:
+def test_another_machine_is_refused(gate: PageGate) -> None:
     """Whoever does not come over loopback is refused, whatever it knows."""
     assert status(gate, _scope("http", f"token={gate.token}", client="192.0.2.1")) == 403
 
 
-def test_a_websocket_says_its_origin(gate: Gate) -> None:
+def test_a_websocket_says_its_origin(gate: PageGate) -> None:
     """A WebSocket of the page is let in; one that does not say its origin is not."""
     right = cookie(gate)
     assert answer(gate, _scope("websocket", origin=ORIGIN, cookie=right))[0]["type"] == "websocket.accept"
@@ -140,7 +140,7 @@ def test_a_websocket_says_its_origin(gate: Gate) -> None:
     assert answer(gate, _scope("websocket", origin=ORIGIN))[0]["type"] == "websocket.close"
 
 
-def test_fifty_sockets_are_not_open_at_once(gate: Gate) -> None:
+def test_fifty_sockets_are_not_open_at_once(gate: PageGate) -> None:
     """The number of open WebSockets is bounded; what is beyond is closed with the reason."""
     right = cookie(gate)
 

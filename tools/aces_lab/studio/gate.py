@@ -44,7 +44,7 @@ HEADERS: tuple[tuple[bytes, bytes], ...] = (
 )
 
 
-class Gate:
+class PageGate:
     """An ASGI application in front of another: lets in who has the token, or its cookie.
 
     `port` is the one that the page is served at on loopback. `refusals` counts what was not let in, `sockets` what is open.

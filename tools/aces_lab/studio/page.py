@@ -1,6 +1,6 @@
 """The page: head, tabs of views, and below each view its command line, its picture and its rows.
 
-1. A view is a file in `views/` with `VIEW`, a subclass of `View`. Nothing else names it.
+1. A view is a file in `views/` with `VIEW`, a subclass of `StudioView`. Nothing else names it.
 2. Texts of recordings, databases and specs stay text: labels escape what they show, and HTML that a view writes takes
    them through `escaped`.
 3. A view is updated `RATE_HZ` times a second, and only while it is looked at.
@@ -15,12 +15,12 @@ import pkgutil
 import shlex
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
-from nicegui import ui
+from nicegui import run, ui
 
 from aces_bus.errors import AcesError
 from aces_bus.plain_text import cell_text, without_controls
@@ -41,14 +41,14 @@ def escaped(text: object) -> str:
     return html.escape(without_controls(str(text)))
 
 
-class View(ABC):
+class StudioView(ABC):
     """A view in one browser tab. `build` makes its elements, `update` brings them up to date."""
 
     title: ClassVar[str]
     #: Views are shown in this order.
     order: ClassVar[int]
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: StudioPage) -> None:
         self.page, self.studio = page, page.studio
 
     @abstractmethod
@@ -75,13 +75,13 @@ class View(ABC):
         return {}
 
 
-class Page:
+class StudioPage:
     """One browser tab: its views, and what they share. `marks_ns` are instants that were marked."""
 
     def __init__(self, studio: Studio) -> None:
         self.studio = studio
         self.marks_ns: list[int] = []
-        self.views: list[View] = [kind(self) for kind in _kinds()]
+        self.views: list[StudioView] = [kind(self) for kind in _kinds()]
         self._commands: dict[str, ui.label] = {}
 
     def build(self) -> None:
@@ -111,31 +111,31 @@ class Page:
         self._tabs.on_value_change(self.update)
         ui.timer(1 / RATE_HZ, self.update)
 
-    def _foot(self, view: View) -> None:
+    def _foot(self, view: StudioView) -> None:
         with ui.row().classes("studio-foot"):
             self._commands[view.title] = ui.label().classes("studio-command")
             copy = ui.button("Copy", on_click=lambda: ui.clipboard.write(shlex.join(view.words())))
             copy.tooltip("copy the command line")
             buttons = [copy]
             for suffix in ("svg", "png"):
-                if type(view).save_picture is not View.save_picture:
+                if type(view).save_picture is not StudioView.save_picture:
                     buttons.append(
                         ui.button(suffix.upper(), on_click=self._saving(self._picture, view, suffix))
                     )
             for suffix in ("csv", "parquet"):
-                if type(view).table is not View.table:
+                if type(view).table is not StudioView.table:
                     buttons.append(ui.button(suffix.upper(), on_click=self._saving(self._rows, view, suffix)))
             for button in buttons:
                 button.props("dense flat no-caps size=sm")
 
     @property
-    def current(self) -> View:
+    def current(self) -> StudioView:
         """The view that is looked at."""
         return next(view for view in self.views if view.title == self._tabs.value)
 
     def choose(self, row: TrafficRow) -> None:
         """Show a row in the first view that shows a single row."""
-        view = next((view for view in self.views if type(view).show is not View.show), None)
+        view = next((view for view in self.views if type(view).show is not StudioView.show), None)
         if view is not None:
             self._tabs.set_value(view.title)
             view.show(row)
@@ -159,14 +159,16 @@ class Page:
 
     # ------------------------------------------------------------------ what is saved
 
-    def _saving(self, make: Callable[[View, str], bytes], view: View, suffix: str) -> Callable[[], None]:
-        def save() -> None:
+    def _saving(
+        self, make: Callable[[StudioView, str], bytes], view: StudioView, suffix: str
+    ) -> Callable[[], Awaitable[None]]:
+        async def save() -> None:
             try:
-                content = make(view, suffix)
+                content = await run.io_bound(make, view, suffix)
             except AcesError as error:
                 self.say(str(error))
                 return
-            ui.download.content(content, f"{view.title.lower()}.{suffix}")
+            ui.download.content(content or b"", f"{view.title.lower()}.{suffix}")
 
         return save
 
@@ -175,14 +177,14 @@ class Page:
         ui.notify(without_controls(text), position="bottom", multi_line=True, timeout=8000)
 
     @staticmethod
-    def _picture(view: View, suffix: str) -> bytes:
+    def _picture(view: StudioView, suffix: str) -> bytes:
         with tempfile.TemporaryDirectory(prefix="aces-studio-") as folder:
             path = Path(folder, f"picture.{suffix}")
             view.save_picture(str(path))
             return path.read_bytes()
 
     @staticmethod
-    def _rows(view: View, suffix: str) -> bytes:
+    def _rows(view: StudioView, suffix: str) -> bytes:
         columns = {name: column[:MOST_ROWS] for name, column in view.table().items()}
         if suffix == "csv":
             text = io.StringIO()
@@ -208,10 +210,10 @@ def _parquet(columns: Mapping[str, Sequence[Any]]) -> bytes:
     return content
 
 
-def _kinds() -> list[type[View]]:
+def _kinds() -> list[type[StudioView]]:
     """Return the classes of the views, in their order."""
     names = [module.name for module in pkgutil.iter_modules(views.__path__)]
-    found: list[type[View]] = [import_module(f"{views.__name__}.{name}").VIEW for name in names]
+    found: list[type[StudioView]] = [import_module(f"{views.__name__}.{name}").VIEW for name in names]
     return sorted(found, key=lambda kind: kind.order)
 
 
@@ -220,4 +222,4 @@ def add_page(studio: Studio) -> None:
 
     @ui.page("/")
     def page() -> None:
-        Page(studio).build()
+        StudioPage(studio).build()

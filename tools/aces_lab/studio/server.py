@@ -16,7 +16,7 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
 
 from .capture import Capture
-from .gate import Gate
+from .gate import PageGate
 
 HOST = "127.0.0.1"
 #: Connections at once: browsers open six for each page.
@@ -75,9 +75,9 @@ class Server:
         port = int(listener.getsockname()[1])
         application = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
         add_page(studio)
-        options: dict[str, Any] = {"dark": None, "message_history_length": 0, "show_welcome_message": False}
+        options: dict[str, Any] = {"dark": None, "message_history_length": 50, "show_welcome_message": False}
         ui.run_with(application, title="aces studio", favicon="🚌", reconnect_timeout=5.0, **options)
-        self.gate = Gate(application, port)
+        self.gate = PageGate(application, port)
         self.url = f"http://{HOST}:{port}/?token={self.gate.token}"
         self._server = uvicorn.Server(
             uvicorn.Config(

@@ -25,7 +25,7 @@ from aces_tools.screen.values import FieldsOfKinds
 
 from ..capture import TrafficRow
 from ..images import row_pictures
-from ..page import Page, View, escaped
+from ..page import StudioPage, StudioView, escaped
 from ..pictures import Array, data_url
 
 #: Height of a row and of the head (px, as in page.css), and rows beyond what is in sight.
@@ -43,7 +43,7 @@ DRAWN = 24
 THROTTLE_S = 0.04
 
 
-class Column(NamedTuple):
+class TrafficColumn(NamedTuple):
     """A column of the table: head, what it is sorted by, name of its width in page.css, classes of its cells."""
 
     head: str
@@ -53,19 +53,19 @@ class Column(NamedTuple):
 
 
 @dataclass
-class Mark:
+class MarkedInstant:
     """What was when an instant was marked: frames and flips of each row."""
 
     frames: dict[TrafficRow, int] = field(default_factory=dict)
     flips: dict[TrafficRow, Array] = field(default_factory=dict)
 
 
-class TrafficView(View):
+class TrafficView(StudioView):
     """The table of traffic."""
 
     title, order = "Traffic", 1
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: StudioPage) -> None:
         super().__init__(page)
         studio = page.studio
         self._fields = FieldsOfKinds(studio.variants)
@@ -76,7 +76,7 @@ class TrafficView(View):
         self._where: Where | None = None
         self._sort, self._is_falling = "", False
         self._top, self._height = 0.0, 800.0
-        self._mark: Mark | None = None
+        self._mark: MarkedInstant | None = None
         self._frozen: list[str] | None = None
         self._shown: list[TrafficRow] = []
 
@@ -119,7 +119,7 @@ class TrafficView(View):
     def _marked(self) -> None:
         capture = self.studio.capture
         with capture.lock:
-            self._mark = Mark(
+            self._mark = MarkedInstant(
                 {row: row.frames for row in capture.rows}, {row: row.flips.copy() for row in capture.rows}
             )
             self.page.marks_ns.append(time.time_ns() if not capture.is_done else capture.last_ns)
@@ -142,20 +142,20 @@ class TrafficView(View):
     # ------------------------------------------------------------------ the table
 
     @property
-    def _columns(self) -> list[Column]:
+    def _columns(self) -> list[TrafficColumn]:
         rows = self.studio.capture.rows
         columns = [
-            Column("ID", lambda row: (row.identifier.key, row.label), "id", "mono"),
-            Column("Message", lambda row: self._name(row), "name") if self.studio.variants else None,
-            Column("Channel", lambda row: str(row.identifier.channel), "channel", "wide")
+            TrafficColumn("ID", lambda row: (row.identifier.key, row.label), "id", "mono"),
+            TrafficColumn("Message", lambda row: self._name(row), "name") if self.studio.variants else None,
+            TrafficColumn("Channel", lambda row: str(row.identifier.channel), "channel", "wide")
             if len({row.identifier.channel for row in rows}) > 1
             else None,
-            Column("Count", lambda row: row.frames, "count", "n"),
-            Column("Period ms", lambda row: (row.pace_ms or (np.inf,))[0], "pace", "n"),
-            Column("Jitter ms", lambda row: (row.pace_ms or (0, np.inf))[1], "pace", "n wide"),
-            Column("Since mark", self._since, "since", "n") if self._mark is not None else None,
-            Column("Bytes, age and flips of bits", lambda row: int(row.flips.sum()), "data"),
-            Column("Fields", None, "rest"),
+            TrafficColumn("Count", lambda row: row.frames, "count", "n"),
+            TrafficColumn("Period ms", lambda row: (row.pace_ms or (np.inf,))[0], "pace", "n"),
+            TrafficColumn("Jitter ms", lambda row: (row.pace_ms or (0, np.inf))[1], "pace", "n wide"),
+            TrafficColumn("Since mark", self._since, "since", "n") if self._mark is not None else None,
+            TrafficColumn("Bytes, age and flips of bits", lambda row: int(row.flips.sum()), "data"),
+            TrafficColumn("Fields", None, "rest"),
         ]
         return [column for column in columns if column is not None]
 
