@@ -56,16 +56,17 @@ class GivenSetpoints(Controller):
         """True while nothing is given."""
         return self._until is None
 
-    def give(self, values: Mapping[str, float]) -> None:
-        """Take set-points, on any thread; states that are not named keep theirs.
-
-        Raises `UnknownNameError`, and `CallerError` for what is not a finite number; nothing is taken then.
-        """
+    def check(self, values: Mapping[str, float]) -> None:
+        """Raise `UnknownNameError` for a state that it does not write, `CallerError` for what is not a finite number."""
         for name, value in values.items():
             if name not in self.writes:
                 raise UnknownNameError(f"joint that {self.name} gives set-points to", name, self.writes)
             if not math.isfinite(value):
                 raise CallerError(f"{self.name}: {name}: {value!r} is not a finite number")
+
+    def give(self, values: Mapping[str, float]) -> None:
+        """Take set-points, on any thread; others keep theirs. Raises as `check`; then nothing is taken."""
+        self.check(values)
         with self._lock:
             self._wanted.update(values)
             self._is_new = True

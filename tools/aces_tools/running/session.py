@@ -70,6 +70,8 @@ class Session:
         self.verb = verb
         #: Asked all the time: whether the run is to end for a reason of its verb's own.
         self.is_ended: Callable[[], bool] = lambda: False
+        #: Called once the buses are open, before anything is enabled.
+        self.opened: Callable[[Runner], object] = lambda runner: None
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
         self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
@@ -179,6 +181,7 @@ class Session:
                 with self.patience.waiting():
                     runner.open()
                     missing = [] if self.arguments.replay else runner.missing
+                    self.opened(runner)
                     ready = self._prepare(runner, missing)
                 if ready:
                     self._start_showing(runner, watch)

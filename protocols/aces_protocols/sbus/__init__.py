@@ -1,1 +1,0 @@
-"""SBUS, Futaba's serial protocol from radio-control receivers to servos and flight controllers."""
