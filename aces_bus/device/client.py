@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import AsyncGenerator, Iterator
 from typing import Any
 
 from ..errors import CallerError, NoReplyError
@@ -126,6 +126,20 @@ class Client:
             self._kept.extend(self._received(timeout))
             if not self._kept:
                 return
+
+    def __aiter__(self) -> AsyncGenerator[Record, None]:
+        """Yield records in an asyncio program as they come, first the kept ones; nothing else reads the bus meanwhile.
+
+        The bus is free again when the iteration is closed (`contextlib.aclosing`), or its loop ends.
+        """
+        from .asyncio_face import read_in_asyncio
+
+        return read_in_asyncio(self._kept_or_received)
+
+    def _kept_or_received(self, timeout: float) -> list[Record]:
+        if self._kept:
+            return [self._kept.popleft() for _ in range(len(self._kept))]
+        return self._received(timeout)
 
     def _is_one_frame(self, packet: Any) -> bool:
         return self.variant.link == "can" and not isinstance(packet, list)

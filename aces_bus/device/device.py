@@ -30,6 +30,7 @@ from ..compiling import mypyc_attr
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Record, Variant
 from ..runtime.clock import Timer
+from ..runtime.loop import call_there
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
 from .declared import Poll, SignalSpec, field_reader, same, slot_of
@@ -617,7 +618,7 @@ class Device(EndpointMember):
         made = Ticket(
             self.clock, self, message, packet, names, timeout_ns, retries, urgent=urgent, confirms=confirms
         )
-        return self.host.ask(made)
+        return call_there(self.clock, lambda: self.host.ask(made))
 
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:
         """Begin something that takes several steps; see `Job`."""

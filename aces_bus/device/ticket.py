@@ -76,6 +76,15 @@ class Awaited:
             raise self.error
         return self.result
 
+    def __await__(self) -> Generator[object, None, Any]:
+        """Let an asyncio program wait: `await device.ask("SendStatus", reply="Status")`; returns and raises as `wait`."""
+        from .asyncio_face import wait_in_asyncio
+
+        yield from wait_in_asyncio(self)
+        if self.error is not None:
+            raise self.error
+        return self.result
+
 
 class Ticket(Awaited):
     """One request of a device. `result` is the record that answered, None when no answer is expected.

@@ -30,7 +30,7 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from typing import Any, Self, TypeVar
 
 from ..errors import CallerError
-from .clock import RealClock, Timer
+from .clock import EventClock, RealClock, Timer
 
 T = TypeVar("T")
 Action = Callable[[], object]
@@ -169,6 +169,11 @@ class Loop:
     def is_own_thread(self) -> bool:
         """True if the caller runs on the loop's thread."""
         return self.own_thread == threading.get_ident()
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """True if the loop runs, on another thread than the caller's."""
+        return not self._stopping and self.own_thread not in (0, threading.get_ident())
 
     # ------------------------------------------------------------------ files
 
@@ -373,3 +378,10 @@ class Loop:
                 return until()
             time.sleep(min(left, 1_000_000) / 1e9)
         return True
+
+
+def call_there(clock: EventClock, action: Callable[[], T]) -> T:
+    """Do it where all that is planned on `clock` runs, from whatever thread; here where the clock does not run."""
+    if isinstance(clock, Loop) and clock.is_elsewhere:
+        return clock.call(action)
+    return action()
