@@ -307,7 +307,7 @@ def _name(channel: Any) -> str | None:
     return channel if channel is None or isinstance(channel, str) else str(channel)
 
 
-def _flags(frame: Any) -> int:
+def _flags(frame: Frame) -> int:
     way = frame.is_rx
     return (
         (FrameFlag.EXTENDED if frame.is_extended_id else 0)
@@ -320,5 +320,5 @@ def _flags(frame: Any) -> int:
     )
 
 
-def _length(frame: Any) -> int:
+def _length(frame: Frame) -> int:
     return (frame.dlc or 0) if frame.is_remote_frame else len(frame.data)

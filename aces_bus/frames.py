@@ -8,11 +8,14 @@ A python-can message is mutable and costs 1.7 µs to make; captures of millions 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 
 from .errors import CallerError
+
+if TYPE_CHECKING:
+    import can
 
 #: Flags above an identifier's 29 bits: together they are a frame's key, by which scanners look messages up. The key of a
 #: standard data frame is its identifier.
@@ -69,8 +72,12 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
         return self.dlc if self.is_remote_frame and self.dlc is not None else len(self.data)
 
 
+#: What scanners take for a frame: one of ours, or one of python-can.
+AnyFrame: TypeAlias = "Frame | can.Message"
+
+
 def message_to_frame(
-    message: Any, timestamp: float | None = None, channel: str | None = None, is_rx: bool | None = None
+    message: AnyFrame, timestamp: float | None = None, channel: str | None = None, is_rx: bool | None = None
 ) -> Frame:
     """Return the frame that a python-can message (or another frame) carries; time, channel and direction are the arguments.
 

@@ -292,6 +292,7 @@ KERNEL_NEEDS = {"construct", "msgspec", "anycrc"}
 KERNEL_KNOWS = ("_lazy", "compiling", "protocol.record", "protocol.counts", "protocol.encoder")
 #: Module of the kernel → what else it imports, only when it is needed.
 KERNEL_EXCEPTIONS = {
+    "frames": "can",  # only its type: what scanners take beside our frames
     "protocol.live.find": "numpy",  # searches long pieces of a stream
     "protocol.live.can": "aces_bus.frame_table",  # takes frames as columns
 }

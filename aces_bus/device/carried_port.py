@@ -138,7 +138,7 @@ class CarriedPort(UpperPort):
         elif was_first:
             self.clock.call_soon(waiting[0].go_on)
 
-    def _steer(self, frame: Any) -> None:
+    def _steer(self, frame: Frame | bytes) -> None:
         """Act on a received control frame: go on with a packet of ours, or answer the sender of one."""
         if not isinstance(frame, Frame) or frame.is_remote_frame or frame.is_error_frame:
             return
@@ -193,7 +193,7 @@ class CarriedPort(UpperPort):
         return self._carried[key]
 
 
-def _key(frame: Any) -> int:
+def _key(frame: Frame) -> int:
     return key_of(frame.arbitration_id, extended=frame.is_extended_id)
 
 

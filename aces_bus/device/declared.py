@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..protocol import Record
+from ..protocol.record import FieldValue
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class SignalSpec:
 signal = SignalSpec
 
 
-def same(value: Any) -> Any:
+def same(value: FieldValue) -> Any:
     """Return a number in the sheet's unit that is SI already."""
     return value
 

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ..compiling import mypyc_attr
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Record, Variant
+from ..protocol.record import FieldValue
 from ..runtime.clock import Timer
 from ..runtime.loop import call_there
 from .coalesce import CoalescingRule, Setpoint
@@ -296,7 +297,7 @@ class Device(EndpointMember):
                 self._field(set)  # else what a path means is the driver's affair
             self._paths.setdefault(message, {})[path] = None
 
-            def give(value: Any, message: str = message, path: str = path) -> None:
+            def give(value: FieldValue, message: str = message, path: str = path) -> None:
                 self.want(message, path, from_si(value))
 
             setter = give
@@ -609,7 +610,7 @@ class Device(EndpointMember):
         reply: str | tuple[str, ...],
         timeout_s: float,
         retries: int,
-        fields: Mapping[str, Any],
+        fields: Mapping[str, FieldValue],
         urgent: bool = False,
         confirms: bool = False,
     ) -> Ticket:

@@ -28,7 +28,7 @@ class IncomingPacket:
         session: Hashable,
         clock: EventClock,
         send: Callable[[Frame], Any],
-        over: Callable[[], Any],
+        over: Callable[[], object],
     ) -> None:
         self._transport, self._key, self._opening, self._session = transport, key, opening, session
         self._clock, self._send, self._over = clock, send, over

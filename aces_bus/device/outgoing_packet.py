@@ -116,7 +116,7 @@ class OutgoingPacket:
         missing = "acknowledgement" if self._furthest == len(self.frames) else "go-ahead"
         self.end("expired", f"its receiver gave no {missing} in time", "timed out")
 
-    def _restart(self, delay_ns: int, action: Callable[[], Any]) -> None:
+    def _restart(self, delay_ns: int, action: Callable[[], object]) -> None:
         self._stop_timer()
         self._timer = self._clock.call_in(delay_ns, action)
 

@@ -105,7 +105,7 @@ class _StartedGate:
 
         self._listener = self.gate.listen(take)
 
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+    def on_event(self, handler: Callable[[str, str], object]) -> None:
         """Do nothing: events belong to the gate's owner."""
 
     def send(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeAlias
 
+from ..frames import Frame
 from ..runtime.clock import EventClock
 
+#: What a bus carries as one: a frame, the frames that a transport cut a message into, or the bytes of a message.
+Packet: TypeAlias = Frame | bytes | tuple[Frame, ...]
+
 #: Called with what became of a frame or packet, and why.
-Left = Callable[[str, str], Any]
+Left = Callable[[str, str], object]
 
 
 class Port(Protocol):
@@ -40,7 +44,7 @@ class Port(Protocol):
         """Start receiving: `received(packet, instant)`."""
         ...
 
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+    def on_event(self, handler: Callable[[str, str], object]) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
         ...
 
@@ -96,7 +100,7 @@ class UpperPort:
         """As of the port below."""
         return self.port.half_duplex
 
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+    def on_event(self, handler: Callable[[str, str], object]) -> None:
         """Pass the handler on to the port below."""
         self.port.on_event(handler)
 

@@ -16,6 +16,7 @@ import msgspec
 from msgspec.structs import FieldInfo, fields
 
 from ..errors import CallerError, UnknownNameError
+from ..protocol.record import FieldValue
 
 S = TypeVar("S", bound=msgspec.Struct)
 
@@ -35,7 +36,7 @@ def _text(annotation: Any) -> str:
     return next(filter(None, [*own, *map(_text, get_args(annotation))]), "")
 
 
-def settings_of(who: str, kind: type[S], given: Mapping[str, Any]) -> S:
+def settings_of(who: str, kind: type[S], given: Mapping[str, FieldValue]) -> S:
     """Return the settings of one device. Raises `UnknownNameError` for an unknown key, `CallerError` for a value that
     cannot be.
     """

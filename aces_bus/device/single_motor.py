@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 from ..errors import CallerError, DeviceError
+from ..protocol.record import FieldValue
 from .config import Joint
 from .motor import MotorDevice
 from .signals import Signal
@@ -150,7 +151,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
             made.setter = None
         return made
 
-    def _give(self, name: str, value: Any) -> None:
+    def _give(self, name: str, value: FieldValue) -> None:
         if not self.is_on:
             known = "is off" if self.is_on is False else "has not said yet whether it is on"
             self.emit_event("not sent", f"{self.owner} {known}: the set-point is dropped")
@@ -158,7 +159,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
         message, _, field = self.modes[self.mode][name].partition(".")
         self.want(message, field, self.raw_of(name, value))
 
-    def raw_of(self, name: str, value: Any) -> Any:
+    def raw_of(self, name: str, value: FieldValue) -> Any:
         """Return a set-point of a motor signal in the motor's own numbers."""
         return self._given_as[name](value)
 

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from ..compiling import mypyc_attr
 from ..errors import CallerError
+from ..frames import Frame
 from ..protocol import CanScanner, Record, Variant
 from ..protocol.declare.message import Message
 from ..protocol.encoder import Counts
@@ -265,7 +266,7 @@ class BusEndpoint(Generic[M]):
         if isinstance(scanner, CanScanner) and feed is scanner.feed:
             take = scanner.take
 
-        def received(frame: Any, instant: int) -> None:
+        def received(frame: Frame, instant: int) -> None:
             record = take(frame)
             if record is None:
                 for received in feed((frame,)):

@@ -28,6 +28,7 @@ from ..errors import CallerError, FieldError, UnknownNameError
 from ..frames import FD_LENGTHS
 from ..protocol import Protocol, Record, Variant
 from ..protocol.live.stream import StreamScanner
+from ..protocol.record import FieldValue
 from ..runtime.clock import EventClock, Timer
 from .config import DeviceConfig, Robot
 from .physics import MovedBody
@@ -223,7 +224,7 @@ class Twin(EndpointMember):
         """Send any frame or bytes, as a faulty device does."""
         self.twins.send(packet)
 
-    def _misnumbered(self, message: str, fields: dict[str, Any], number: int) -> Any:
+    def _misnumbered(self, message: str, fields: Mapping[str, FieldValue], number: int) -> Any:
         """Return an answer with the number said, else with the next one that this robot knows, else with the one before."""
         known = set(self.variant[message].fields)
         mine = {k: v for k, v in self.credentials.items() if k in known}

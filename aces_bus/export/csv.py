@@ -14,7 +14,7 @@ import io
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class CsvExport(Folder):
     def _reserved(self) -> Sequence[str]:
         return [COLUMNS]
 
-    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: BinaryIO) -> Any:
         import pyarrow as pa
         import pyarrow.csv
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, BinaryIO
 
 from ..errors import CallerError
 from ..protocol.columns.arrow import ArrowLayout, load_pyarrow
@@ -91,7 +91,7 @@ class Folder(Buffered):
         self._writers.clear()
 
     @abstractmethod
-    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: BinaryIO) -> Any:
         """Open a writer into a stream of Arrow's, which has `close`."""
 
     def _batch(self, arrow: ArrowLayout, block: Block) -> Any:
@@ -109,7 +109,7 @@ class ArrowExport(Folder):
     format = "Arrow"
     suffix = ".arrow"
 
-    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: BinaryIO) -> Any:
         import pyarrow as pa
 
         options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)

@@ -16,7 +16,7 @@ import contextlib
 import os
 from collections.abc import Generator, Iterator
 from importlib import import_module
-from typing import Any
+from typing import Any, BinaryIO
 
 from ..errors import CallerError
 from ..protocol.columns.arrow import ArrowLayout, load_pyarrow
@@ -53,7 +53,7 @@ class ParquetExport(Folder):
     format = "Parquet"
     suffix = ".parquet"
 
-    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: BinaryIO) -> Any:
         import pyarrow as pa
         import pyarrow.parquet as pq
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, BinaryIO
 
 from ..errors import CallerError
 from ..protocol.columns.arrow import ArrowLayout
@@ -46,7 +46,7 @@ class ParquetParts(ArrowExport):
             number = sum(name.startswith("part-") for name in os.listdir(folder))
         return os.path.join(folder, f"{_BEGINNING}{number:05}{_END}")
 
-    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: BinaryIO) -> Any:
         import pyarrow as pa
 
         options = pa.ipc.IpcWriteOptions(emit_dictionary_deltas=True)

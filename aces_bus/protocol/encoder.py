@@ -23,6 +23,7 @@ from .declare.protocol import Variant
 from .generate.encode import CALLED, NoEncoder, print_encoder
 from .generate.load import load_source
 from .generate.source import NameScope, comment_line
+from .record import FieldValue
 
 #: Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD.
 CanParts = tuple[int, bytes, bool, bool, bool]
@@ -130,7 +131,7 @@ class Encoder:
         """
         quick = self._quick.get(message.name)
 
-        def whole(fields: Mapping[str, Any]) -> dict[str, Any]:
+        def whole(fields: Mapping[str, FieldValue]) -> dict[str, Any]:
             given = {**tags, **fields}
             return given if counts is None else _counted(message, given, counts)
 
@@ -199,7 +200,7 @@ def _short(text: str) -> str:
     return re.sub(r"\b(\w+) -> (?=\1\b)", "", text)
 
 
-def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
+def _explain(error: Exception, message: Message, fields: Mapping[str, FieldValue]) -> str:
     given = {*fields, *message.request_fields, *unsaid(message.payload)}
     missing = [name for name in message.fields if name not in given]
     if isinstance(error, KeyError) and missing:
@@ -276,7 +277,7 @@ def quick_encoders(
     return {name: space[function] for name, function in functions.items()}, source, others
 
 
-def _counted(message: Message, fields: dict[str, Any], counts: Counts) -> dict[str, Any]:
+def _counted(message: Message, fields: Mapping[str, FieldValue], counts: Counts) -> dict[str, Any]:
     """Return fields with the rolling counters that are not given: each one more than the last in `counts`."""
     found = dict(fields)
     for name, modulo in message.counters.items():

@@ -228,7 +228,7 @@ def _part(value: Any, name: str) -> Any:
     return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
-def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
+def from_container(value: FieldValue, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
     """Return what construct parsed, as records have it: containers become nested records, lists tuples."""
     if isinstance(value, dict):
         inside = {

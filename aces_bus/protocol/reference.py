@@ -17,7 +17,7 @@ from typing import Any
 from construct import ConstructError
 
 from ..errors import AcesError
-from ..frames import EXTENDED
+from ..frames import EXTENDED, AnyFrame
 from .declare.ambiguity import framings_in_order, needing_context, ordered, request_names, unmarked_answers
 from .declare.framing import Framing, Verdict
 from .declare.message import REQUESTS, GivenWay, Message, Request
@@ -25,6 +25,7 @@ from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckE
 from .declare.packet_rule import DecidedFrames, PacketRule, packet_image
 from .declare.protocol import Variant
 from .declare.transport import Transport
+from .record import FieldValue
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,9 @@ class PastRequest:
     """A request that was received or sent, with its raw fields."""
 
     name: str
-    channel: Any
+    channel: str | int | None
     time: float | None
-    values: Mapping[str, Any]
+    values: Mapping[str, FieldValue]
     #: Of a request to everyone: the devices that have answered it.
     answered: set[tuple[Any, ...]] = field(default_factory=set)
     #: Whether a reply has used it up: it goes on as a mode.
@@ -134,7 +135,11 @@ class RequestRule:
         return None
 
     def pending(
-        self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
+        self,
+        message: Message,
+        values: Mapping[str, FieldValue],
+        channel: str | int | None,
+        time: float | None,
     ) -> PastRequest | None:
         """Return the request that a reply with these outer fields would answer."""
         for past in reversed(self.passed):
@@ -148,8 +153,8 @@ class RequestRule:
         past: PastRequest,
         message: Message,
         link: tuple[Request, bool, list[str]],
-        values: Mapping[str, Any],
-        channel: Any,
+        values: Mapping[str, FieldValue],
+        channel: str | int | None,
         time: float | None,
     ) -> bool:
         """Return whether a message with these fields may be an answer to a request."""
@@ -195,7 +200,7 @@ class RequestRule:
         return f"unknown: needs request {'|'.join(names)}"
 
 
-def _those(names: Sequence[str], values: Mapping[str, Any]) -> tuple[Any, ...]:
+def _those(names: Sequence[str], values: Mapping[str, FieldValue]) -> tuple[Any, ...]:
     return tuple(values.get(name) for name in names)
 
 
@@ -288,7 +293,7 @@ class Reference:
         message: Message,
         is_contextual: bool,
         image: bytes,
-        channel: Any,
+        channel: str | int | None,
         time: float | None,
     ) -> tuple[Any, str]:
         """Return the raw fields of a packet as a message, or None and what is malformed ("" where that is not known)."""
@@ -307,7 +312,7 @@ class Reference:
 
     @staticmethod
     def _by_request(
-        context: RequestRule, message: Message, image: bytes, channel: Any, time: float | None
+        context: RequestRule, message: Message, image: bytes, channel: str | int | None, time: float | None
     ) -> Any:
         """Return a reply whose layout is in its request, read with the request that is waiting for it; None when it is
         not one.
@@ -329,7 +334,7 @@ class Reference:
         context: RequestRule,
         message: Message,
         image: bytes,
-        channel: Any,
+        channel: str | int | None,
         time: float | None,
         past: PastRequest | None,
     ) -> tuple[str, Message, Any]:
@@ -406,7 +411,7 @@ class Reference:
             for frame in decided.frames
         ]
 
-    def _carrier_of(self, frame: Any) -> _Carrier | None:
+    def _carrier_of(self, frame: AnyFrame) -> _Carrier | None:
         """Return the transport of the first message, or with the first identifiers, that a frame fits."""
         key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
         for _, messages, _, _ in self.sides:

@@ -185,7 +185,7 @@ def up_to_damage(unpacker: Any, packed: bytes | memoryview) -> tuple[bytes, int,
     return b"".join(parts), len(packed), "it ends too early"
 
 
-def _zstandard_frame(name: str) -> Callable[[], Any]:
+def _zstandard_frame(name: str) -> Callable[[], object]:
     try:
         import zstandard
     except ImportError:

@@ -187,12 +187,12 @@ class Where:
             )
         )
 
-    def holds(self, record: Any) -> bool:
+    def holds(self, record: Record) -> bool:
         """Return whether a record fulfils all conditions."""
         return self._tests[type(record)](record)
 
 
-def _never(record: Any) -> bool:
+def _never(record: Record) -> bool:
     return False
 
 
@@ -289,7 +289,7 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
         get = getter(path)
         return lambda record: test(get(record)) is not is_not
 
-    def of_several(record: Any) -> bool:
+    def of_several(record: Record) -> bool:
         values = list(values_of(record, path))
         return bool(values) and any(map(test, values)) is not is_not
 

@@ -87,8 +87,8 @@ class Runner:
             tasks = ThreadTasks(self.clock) if isinstance(self.clock, Loop) else VirtualTasks(self.clock)
         self.tasks = tasks
         #: What is done before the buses are opened and after they are closed: loops, twins.
-        self.before: list[Callable[[], Any]] = []
-        self.after: list[Callable[[], Any]] = []
+        self.before: list[Callable[[], object]] = []
+        self.after: list[Callable[[], object]] = []
         #: The virtual robot or replay behind it; None on real buses.
         self.world: Any = None
         self._is_bound = False
@@ -186,7 +186,7 @@ class Runner:
     # ------------------------------------------------------------------ making
 
     def _add_task(
-        self, component: ControllerLike | RunLogger, step: Callable[[int], Any], priority: int
+        self, component: ControllerLike | RunLogger, step: Callable[[int], object], priority: int
     ) -> None:
         said = self.rig.robot.controllers.get(component.name)
         stated = None if said is None else said.priority

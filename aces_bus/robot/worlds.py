@@ -126,14 +126,14 @@ class ReplayPort:
     def __init__(self, clock: VirtualClock, name: str) -> None:
         self.clock, self.name = clock, name
         self.swallowed = 0
-        self._received: Callable[[Any, int], Any] | None = None
+        self._received: Callable[[Frame | bytes, int], object] | None = None
         self.note: Callable[[Any], None] | None = None
 
     def open(self, received: Callable[[Any, int], Any]) -> None:
         """Start receiving."""
         self._received = received
 
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+    def on_event(self, handler: Callable[[str, str], object]) -> None:
         """Ignore the handler: nothing happens to a recording."""
 
     def send(
@@ -143,7 +143,7 @@ class ReplayPort:
         *,
         urgent: bool = False,
         topic: object = None,
-        report: Callable[[str, str], Any] | None = None,
+        report: Callable[[str, str], object] | None = None,
     ) -> bool:
         """Count the packet and drop it."""
         self.swallowed += 1

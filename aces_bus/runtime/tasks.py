@@ -35,7 +35,7 @@ class Task:
     running (or the system was elsewhere), `overruns` ticks that took longer than a period.
     """
 
-    def __init__(self, name: str, step: Callable[[int], Any], rate_hz: float, priority: int = 0) -> None:
+    def __init__(self, name: str, step: Callable[[int], object], rate_hz: float, priority: int = 0) -> None:
         if rate_hz <= 0:
             raise CallerError(f"{name}: a rate of {rate_hz} Hz; give a rate above 0 Hz")
         self.name, self.step, self.rate_hz, self.priority = name, step, rate_hz, priority
@@ -102,7 +102,7 @@ class Tasks(ABC):
         self.failed = failed
         self._is_running = False
 
-    def add(self, name: str, step: Callable[[int], Any], *, rate_hz: float, priority: int = 0) -> Task:
+    def add(self, name: str, step: Callable[[int], object], *, rate_hz: float, priority: int = 0) -> Task:
         """Add a component. Of two that are due together the one of higher `priority` runs first.
 
         Raises `CallerError` when they run already, or for a rate that is none.

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import importlib
 import math
-from typing import Any, Literal
+from types import ModuleType
+from typing import Literal
 
 from ..errors import CallerError
 from .errors import StateError
@@ -18,7 +19,7 @@ Kind = Literal["lowpass", "highpass", "bandpass", "bandstop"]
 Family = Literal["butter", "cheby1", "cheby2", "ellip", "bessel"]
 
 
-def _scipy_signal() -> Any:
+def _scipy_signal() -> ModuleType:
     try:
         return importlib.import_module("scipy.signal")
     except ImportError as missing:

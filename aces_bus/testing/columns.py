@@ -19,7 +19,7 @@ from ..protocol.columns.scanner import make_column_scanner
 from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
 from ..protocol.live.can import CanScanner
 from ..protocol.live.scanner import Scanner
-from ..protocol.record import Meta, Unknown, as_dict, getter, plain_value
+from ..protocol.record import FieldValue, Meta, Unknown, as_dict, getter, plain_value
 from .scenes import Scene, Way, Wire, wire_variants
 from .trial import ScannedItem, comparable, join_losses, plain_counts
 
@@ -249,7 +249,7 @@ def _losses(
 # ---------------------------------------------------------------------- values
 
 
-def _leaves(value: Any, path: str, columns: set[str]) -> Iterator[str]:
+def _leaves(value: FieldValue, path: str, columns: set[str]) -> Iterator[str]:
     """Yield the paths of all single values of a record; what is a column as a whole is one."""
     if path in columns or value is None:
         if value is not None:

@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 import construct as c
+from construct import Construct, Container
 
 from ..errors import AcesError, FieldError
 from ..protocol.declare.bits import FLOATS, BitLayout, Bits, LayoutSlot
@@ -30,6 +31,7 @@ from ..protocol.declare.items import Items
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
 from ..protocol.declare.stuffing import CutZeros
+from ..protocol.record import FieldValue
 from .hints import Hints, hints, is_integer
 from .source import ChoiceSource, edge_number, spread
 
@@ -85,7 +87,7 @@ class _Walk:
         if values is None and not is_small:
             return otherwise
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             if values is not None and source.integer(0, 3):
                 return source.choice(values)
             if is_small:
@@ -99,7 +101,7 @@ class _Walk:
     def _enumeration(self, con: Enumeration) -> Draw:
         known, any_value = sorted(con.values), self.of(con.subcon)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             return source.choice(known) if known and source.integer(0, 3) else any_value(source, ctx, room)
 
         return draw
@@ -131,25 +133,25 @@ class _Walk:
         value = con.value
         return lambda source, ctx, room: value
 
-    def _nothing(self, con: Any) -> Draw:
+    def _nothing(self, con: Construct) -> Draw:
         return lambda source, ctx, room: None
 
-    def _varint(self, con: Any) -> Draw:
+    def _varint(self, con: Construct) -> Draw:
         signed = con is c.ZigZag
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> int:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> int:
             high = (1 << source.choice((3, 7, 14, 31))) - 1
             return edge_number(source, -high if signed else 0, high)
 
         return draw
 
-    def _text(self, con: Any) -> Draw:
+    def _text(self, con: Construct) -> Draw:
         try:
             most = int(con.sizeof())
         except c.ConstructError:
             most = 8
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> str:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> str:
             return "".join(
                 chr(65 + b % 26) for b in source.bytes(source.integer(0, min(most, 8, max(0, room.left - 1))))
             )
@@ -181,7 +183,7 @@ class _Walk:
 
         return draw
 
-    def _greedy(self, con: Any) -> Draw:
+    def _greedy(self, con: Construct) -> Draw:
         return lambda source, ctx, room: _content(source, self._some(source, room), self.message)
 
     # -------------------------------------------------- several values
@@ -197,7 +199,7 @@ class _Walk:
             items.append((item.name, body, draw_inner, low, high, isinstance(body, c.Rebuild)))
         least = sum(item[3] for item in items)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             inner = c.Container(
                 _=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False
             )
@@ -230,10 +232,10 @@ class _Walk:
 
         return draw
 
-    def _range(self, con: Any) -> Draw:
+    def _range(self, con: Construct) -> Draw:
         draw_inner, (low, high) = self.of(con.subcon), sizes(con.subcon)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             items = c.ListContainer()
             if low == high and low:
                 most = max(0, room.left) // low
@@ -278,7 +280,7 @@ class _Walk:
 
         return draw
 
-    def _prefixed(self, con: Any) -> Draw:
+    def _prefixed(self, con: Construct) -> Draw:
         draw_inner = self.of(con.subcon)
         return lambda source, ctx, room: draw_inner(source, ctx, Room(max(0, min(room.left - 1, 24)), False))
 
@@ -344,7 +346,7 @@ class _Walk:
         draws = [(slot, self._hinted(slot.name, self.of(slot.field))) for slot in layout.slots]
         full = (1 << 8 * layout.size) - 1
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             inner = c.Container(
                 _=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False
             )
@@ -388,7 +390,7 @@ class _Walk:
             for item in con.fields
         ]
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             values = c.Container()
             count = len(draws)
             if con.least < count and source.integer(0, 1):
@@ -407,11 +409,11 @@ class _Walk:
 
     # -------------------------------------------------- everything else
 
-    def _parsed(self, con: Any) -> Draw:
+    def _parsed(self, con: Construct) -> Draw:
         """Draw values of a construct that the walk does not know: bytes that it reads to their end."""
         low, high = sizes(con)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             problem = "none tried"
             for attempt in range(ATTEMPTS):
                 use = source if attempt < 4 else spread(source.integer(0, 255) << 8 | attempt)
@@ -460,19 +462,19 @@ class _Walk:
     )
 
 
-def _asked(expression: Any, context: Any) -> Any:
+def _asked(expression: Any, context: Container) -> Any:
     """Return the value of an expression of other fields, or the plain value."""
     return expression(context) if callable(expression) else expression
 
 
-def _number_of(slot: LayoutSlot, value: Any, context: Any) -> int:
+def _number_of(slot: LayoutSlot, value: FieldValue, context: Container) -> int:
     """Return the bits of a field with this raw value, as an unsigned number."""
     out = io.BytesIO()
     slot.field._build(value, out, context, "")
     return int.from_bytes(out.getvalue(), "big")
 
 
-def _measure(con: Any, value: Any, context: Any) -> int:
+def _measure(con: Construct, value: FieldValue, context: Container) -> int:
     """Return how many bytes a value takes."""
     if value is None:
         return 0
@@ -512,7 +514,7 @@ def _float(kind: str) -> Draw:
     plain = [0.0, -0.0, 1.0, -1.5, 0.1, 1e-3, float("inf"), float("-inf"), float("nan"), 6.1e-05, 65504.0]
     plain = [unpack(struct.pack(f"<{kind}", value))[0] for value in plain]
 
-    def draw(source: ChoiceSource, ctx: Any, room: Room) -> float:
+    def draw(source: ChoiceSource, ctx: Container, room: Room) -> float:
         if source.integer(0, 2) == 0:
             return source.choice(plain)
         return float(unpack(source.bytes(size))[0])

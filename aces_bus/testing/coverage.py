@@ -18,7 +18,7 @@ from ..protocol.declare.fields import Multiplexed
 from ..protocol.declare.framing import Framing
 from ..protocol.declare.head import enumeration_of
 from ..protocol.declare.message import Message
-from ..protocol.record import Unknown
+from ..protocol.record import FieldValue, Unknown
 from .bench import Bench
 from .trial import Trial
 
@@ -138,7 +138,7 @@ class Coverage:
         if named is None:
             named = self._named[message] = _named(message)
         for field in message.fields:
-            value: Any = getattr(record, field, None)
+            value: FieldValue = getattr(record, field, None)
             what = f"{message.name}.{field}" if value is not None else f"{message.name}.{field} (absent)"
             self.reached[protocol, "field", what] += 1
             if field in named:

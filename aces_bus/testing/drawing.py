@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from ..protocol.record import FieldValue
 from .bench import Bench
 from .scenes import Scene, Way, Wire
 from .shrinking import packet_bytes
@@ -142,7 +143,7 @@ def said(item: ScannedItem) -> str:
     return f"{item.message} {fields}".rstrip()
 
 
-def _value(value: Any) -> str:
+def _value(value: FieldValue) -> str:
     return value.hex() or "''" if isinstance(value, bytes) else str(value).replace(" ", "")
 
 

@@ -22,6 +22,7 @@ from ..protocol.declare.message import Message
 from ..protocol.declare.packet import frame_image
 from ..protocol.declare.packet_rule import PacketRule, packet_image
 from ..protocol.encoder import Encoder
+from ..protocol.record import FieldValue
 from .trial import Trial
 
 #: What construct raises for a value that does not fit.
@@ -57,7 +58,7 @@ def encoders(trial: Trial) -> None:
             _judge(trial, message, given, change)
 
 
-def _given(trial: Trial, message: Message, image: bytes, request: dict[str, Any]) -> dict[str, Any]:
+def _given(trial: Trial, message: Message, image: bytes, request: Mapping[str, FieldValue]) -> dict[str, Any]:
     """Return a packet's values in the sheet's units: what an encoder is given. What only the request says is not."""
 
     def ask() -> dict[str, Any]:
@@ -80,7 +81,7 @@ def _judge(trial: Trial, message: Message, given: dict[str, Any], change: Change
             trial.fail(2, f"{way}({message.name!r}, {text}) {said}", with_scene=False)
 
 
-def built(message: Message, fields: Mapping[str, Any]) -> tuple[bytes | None, str]:
+def built(message: Message, fields: Mapping[str, FieldValue]) -> tuple[bytes | None, str]:
     """Return what construct builds, or why it does not."""
     try:
         return bytes(message.struct.build(fields)), ""
@@ -151,12 +152,12 @@ def _misnamed(error: AcesError, message: Message, refusal: str, change: Change |
 # ---------------------------------------------------------------------- other values
 
 
-def changed_values(fields: Mapping[str, Any]) -> list[Change]:
+def changed_values(fields: Mapping[str, FieldValue]) -> list[Change]:
     """Return what may be changed in some fields, one at a time."""
     return [((NO_FIELD,), 0), *(change for name in fields for change in _changes_of(name, fields[name]))]
 
 
-def _change(fields: Mapping[str, Any], turn: int) -> Change | None:
+def _change(fields: Mapping[str, FieldValue], turn: int) -> Change | None:
     """Draw a change, or none."""
     turn, place = divmod(turn, len(fields) + 1)
     if place == len(fields):
@@ -166,18 +167,18 @@ def _change(fields: Mapping[str, Any], turn: int) -> Change | None:
     return found[turn % len(found)]
 
 
-def _changes_of(name: str, value: Any) -> list[Change]:
+def _changes_of(name: str, value: FieldValue) -> list[Change]:
     return [((name,), GONE), *(((name, *path), other) for path, other in _others(value))]
 
 
-def changed(fields: Mapping[str, Any], change: Change) -> dict[str, Any]:
+def changed(fields: Mapping[str, FieldValue], change: Change) -> dict[str, Any]:
     """Return the fields with one change."""
     path, value = change
     made: dict[str, Any] = _with(fields, path, value)
     return made
 
 
-def _with(around: Any, path: Sequence[Any], value: Any) -> Any:
+def _with(around: Any, path: Sequence[Any], value: FieldValue) -> Any:
     if not path:
         return value
     key, *rest = path
@@ -193,7 +194,7 @@ def _with(around: Any, path: Sequence[Any], value: Any) -> Any:
     return items
 
 
-def _others(value: Any) -> Iterator[Change]:
+def _others(value: FieldValue) -> Iterator[Change]:
     """Return values to put in a value's place: near it, beyond it, of another kind."""
     if isinstance(value, FlagSet):
         yield from _each(int(value), -1, 1 << 40, [], [*value, "no such flag"], None, "no such flag")

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import construct as c
+from construct import Construct
 
 from ..protocol.declare.bits import FLOATS, Bits
 from ..protocol.declare.fields import SignMagnitude
@@ -30,7 +31,7 @@ class Kind:
 
 
 def _has_format(mark: str) -> Callable[[Any], bool]:
-    def concerns(con: Any) -> bool:
+    def concerns(con: Construct) -> bool:
         if isinstance(con, Bits):
             return con.is_float and FLOATS[con.width][-1:] == mark
         return isinstance(con, c.FormatField) and con.fmtstr[-1:] == mark
@@ -88,7 +89,7 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
     """Return the exceptions of a message, field by field."""
     found: dict[tuple[str, str], Exemption] = {}
 
-    def visit(con: Any, path: str) -> None:
+    def visit(con: Construct, path: str) -> None:
         for kind in KINDS:
             if kind.concerns(con):
                 found[path, kind.name] = Exemption(path, kind)

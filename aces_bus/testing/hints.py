@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import construct as c
+from construct import Construct
 
 from ..protocol.declare.bits import BitLayout, Bits
 from ..protocol.declare.fields import Multiplexed, Present, innermost
@@ -29,7 +30,7 @@ def hints(message: Message) -> Hints:
     values: dict[str, set[int]] = {}
     small: set[str] = set()
 
-    def visit(con: Any) -> None:
+    def visit(con: Construct) -> None:
         if isinstance(con, Present):
             known = values.setdefault(con.selector, {0})
             known.update({1 << con.bit, max(known) | 1 << con.bit})  # the greatest has all bits so far
@@ -56,7 +57,7 @@ def hints(message: Message) -> Hints:
     return Hints({k: tuple(sorted(v)) for k, v in values.items() if v}, frozenset(small))
 
 
-def parts_of(con: Any) -> Iterator[tuple[str, Any]]:
+def parts_of(con: Construct) -> Iterator[tuple[str, Any]]:
     """Yield the constructs directly inside a construct, each with its name; "" for a construct without a name."""
     if isinstance(con, BitLayout):
         yield from ((slot.name, slot.field) for slot in con.slots)
@@ -84,7 +85,7 @@ def _numbers_in(expression: Any) -> list[int]:
     return [int(n) for n in re.findall(r"(?<![\w'])\d+", repr(expression))]
 
 
-def is_integer(con: Any) -> bool:
+def is_integer(con: Construct) -> bool:
     """Return whether a construct's raw value is a whole number."""
     inner = innermost(con)
     return (isinstance(inner, (c.BytesInteger, Bits)) and not getattr(inner, "is_float", False)) or (

@@ -33,7 +33,7 @@ from ..protocol.declare.protocol import Variant
 from ..protocol.live.can import CanScanner
 from ..protocol.live.stream import StreamScanner
 from ..protocol.protocol import Protocol
-from ..protocol.record import Unknown
+from ..protocol.record import Record, Unknown
 from .allowed_work import candidates_in, unstuffing_allowed, work_allowed
 from .bench import bench_of, reads
 from .columns import MODES, columns_difference
@@ -156,7 +156,7 @@ def _each(trial: Trial, got: Sequence[ScannedItem]) -> Sequence[Any]:
     return trial.given if trial.bench.is_can else [None] * len(got)
 
 
-def _physically(trial: Trial, item: ScannedItem, record: Any) -> ScannedItem:
+def _physically(trial: Trial, item: ScannedItem, record: Record | None) -> ScannedItem:
     """Return what was given in raw values, in physical ones by construct."""
     if item.message is None:
         return item

@@ -18,6 +18,7 @@ from ..protocol.declare.framing import BitSize
 from ..protocol.declare.head import Head
 from ..protocol.declare.message import Message, Request
 from ..protocol.declare.protocol import Variant
+from ..protocol.record import FieldValue
 from .constructs import Room, drawer
 from .hints import Hints, hints
 from .source import ChoiceSource, edge_number, spread
@@ -35,7 +36,7 @@ class DrawnPacket:
     """A valid packet of a message: its raw fields, its image (`message.struct` parses it), the request before it."""
 
     message: Message
-    values: Mapping[str, Any]
+    values: Mapping[str, FieldValue]
     image: bytes
     request: DrawnPacket | None = None
 
@@ -183,7 +184,7 @@ def draw_values(
     return values
 
 
-def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) -> dict[str, Any]:
+def _payload(message: Message, values: Mapping[str, FieldValue], source: ChoiceSource) -> dict[str, Any]:
     root = c.Container(raw=True)
     root._params = root
     around = c.Container(_=root, _params=root)
@@ -211,7 +212,7 @@ def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) 
     return found
 
 
-def _room(message: Message, values: Mapping[str, Any], source: ChoiceSource) -> Room:
+def _room(message: Message, values: Mapping[str, FieldValue], source: ChoiceSource) -> Room:
     framing = message.framing
     if framing is None:
         assert message.lengths is not None
@@ -249,7 +250,7 @@ def _head(message: Message, values: Mapping[str, Any]) -> bytes:
     return b"".join(parts)
 
 
-def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: ChoiceSource) -> DrawnPacket:
+def _draw_request(values: Mapping[str, FieldValue], occasion: Occasion, source: ChoiceSource) -> DrawnPacket:
     """Return a request that the reply answers: fields that both have are equal, those that the link names are as it says."""
     fixed = {name: values[name] for name, _ in occasion.shared}
     for name, allowed in occasion.link.values:

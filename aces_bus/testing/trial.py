@@ -19,7 +19,7 @@ from ..protocol.counts import ScanCounts
 from ..protocol.declare.message import Message
 from ..protocol.declare.packet import can_image
 from ..protocol.live.scanner import Scanner
-from ..protocol.record import Unknown, as_dict
+from ..protocol.record import FieldValue, Unknown, as_dict
 from ..protocol.reference import Reference
 from .bench import Bench, bench_of
 from .scenes import Scene, Way, Wire
@@ -67,7 +67,7 @@ def scanner_of(wire: Wire, direction: Way, *, include_unknown: bool = True, raw:
 
 def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
     """Feed a scene, cut at `cuts`, with its silences and transmissions, and close: everything the scanner gave."""
-    out: list[Any] = []
+    out: list[Record] = []
     events: list[tuple[int, int, Any]] = [(offset, 0, None) for offset in cuts]
     events += [(offset, 1, None) for offset in scene.idle_at]
     events += [(offset, 2, packet) for offset, packet in scene.sent_at]
@@ -156,7 +156,7 @@ def record_image(record: Record) -> bytes:
     return can_image(meta.identifier, meta.raw, extended=meta.extended, remote=meta.remote, fd=meta.fd)
 
 
-def comparable(value: Any) -> Any:
+def comparable(value: FieldValue) -> Any:
     """Return a value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
     if isinstance(value, float):
         return struct.pack("<d", value)[::-1].hex() + "f"

@@ -8,6 +8,7 @@ from typing import Any
 
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.twin import World
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.diagnostics import VALUES
 
 
@@ -15,7 +16,7 @@ from aces_protocols.diagnostics import VALUES
 class EcuModel:
     """An ECU's measured values in the sheet's units, the vehicle's number, and its codes with the bits of their status."""
 
-    values: dict[str, Any] = field(
+    values: dict[str, FieldValue] = field(
         default_factory=lambda: {
             "engine_load": 34.9, "coolant_temperature": 83, "short_fuel_trim": 0, "long_fuel_trim": -2.34375,
             "intake_pressure": 35, "engine_speed": 1726, "vehicle_speed": 50, "timing_advance": 12.5,

@@ -24,9 +24,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from aces_bus import Unknown, make_scanner
+from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Variant
+from aces_bus.hardware.gate import Received
+from aces_bus.protocol import Record, Variant
 from aces_bus.recordings.filters import parse_filter
 from aces_bus.recordings.pieces import check_direction, has_requests
 from aces_bus.recordings.where import Where
@@ -156,7 +157,7 @@ class Selection:
             check_direction(variants, way)
             self.scanners[name] = make_scanner(variants, direction=way, include_unknown=True)
 
-    def _is_wanted(self, item: Any) -> bool:
+    def _is_wanted(self, item: Record) -> bool:
         if not self.chooses:
             return True
         if type(item) is Unknown or (self.messages and type(item).__name__ not in self.messages):
@@ -189,7 +190,7 @@ class Selection:
         with self._lock:
             return self._sorted(self.scanners[end].idle(), end)
 
-    def _sorted(self, items: Sequence[Any], end: str) -> list[tuple[bytes, bool]]:
+    def _sorted(self, items: Sequence[Record], end: str) -> list[tuple[bytes, bool]]:
         found = [(bytes(item.meta.raw), self._is_wanted(item)) for item in items]
         if self._requests:
             for other, scanner in self.scanners.items():
@@ -225,7 +226,7 @@ class OneWay:
             self.error = error
             patience.is_over = True
 
-    def forward(self, items: Sequence[Any]) -> None:
+    def forward(self, items: Sequence[Received[Any]]) -> None:
         """Forward what was received, as far as it passes; nothing was: a silence."""
         if self._is_can:
             for item in items:
@@ -262,7 +263,7 @@ class OneWay:
             else:
                 self.filtered += size
 
-    def _send(self, packet: Any, size: int) -> None:
+    def _send(self, packet: Frame | bytes, size: int) -> None:
         self.passed += size
         if self._queue is None:
             return

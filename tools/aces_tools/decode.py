@@ -344,7 +344,7 @@ class LiveDecoding(Decoding):
             self._seen({str(frame.channel) for frame in frames})
         self._take(items, map(_frame_of, items) if scanner.has_transports else frames, totals)
 
-    def _take(self, items: list[Any], frames: Iterable[Frame], totals: Totals) -> None:
+    def _take(self, items: list[Record], frames: Iterable[Frame], totals: Totals) -> None:
         """Take items of frames; with transports an item may be of several frames, or of an earlier one."""
         passed = self._in_window(items)
         if self.filter is not None:
@@ -365,7 +365,7 @@ class LiveDecoding(Decoding):
         self._explain_first(items, is_can=False)
         self._emit(self._kept(items, self._in_window(items), totals, is_can=False), totals, is_can=False)
 
-    def _explain_first(self, items: Sequence[Any], *, is_can: bool) -> None:
+    def _explain_first(self, items: Sequence[Record], *, is_can: bool) -> None:
         """Say of the first item with the head of a message, but not its contents, what is another in it."""
         for item in items if self.to_explain else ():
             if type(item) is not Unknown or item.reason != "unknown":
@@ -402,7 +402,7 @@ class LiveDecoding(Decoding):
 
     # ------------------------------------------------------------------ items
 
-    def _in_window(self, items: list[Any]) -> list[bool] | None:
+    def _in_window(self, items: list[Record]) -> list[bool] | None:
         """Return which items --from and --to let pass; None: all."""
         if self.window is None or not items:
             return None
@@ -422,7 +422,7 @@ class LiveDecoding(Decoding):
             self._reject(item, max(1, len(item.meta.frames)) if is_can else item.meta.size, totals)
         return [item for item, is_kept in zip(items, passed, strict=True) if is_kept]
 
-    def _emit(self, items: list[Any], totals: Totals, *, is_can: bool) -> None:
+    def _emit(self, items: list[Record], totals: Totals, *, is_can: bool) -> None:
         """Write what is to be shown; what --message and --where refuse goes into the bin `filtered`."""
         if items:
             self._begin(items[0])
@@ -442,7 +442,7 @@ class LiveDecoding(Decoding):
     def is_done(self) -> bool:
         return self.count is not None and self.printed >= self.count
 
-    def _show(self, items: list[Any]) -> None:
+    def _show(self, items: list[Record]) -> None:
         """Write items that are to be shown, up to `--count`."""
         if self.count is not None:
             items = items[: self.count - self.printed]

@@ -128,7 +128,7 @@ class SendQueue:
         self._queued = 0
         self._send: Any = gate.send
 
-    def send(self, packet: Any) -> None:
+    def send(self, packet: Frame | bytes) -> None:
         """Queue a frame or bytes, behind all that were queued before. Raises `CallerError` where the gate refuses.
 
         While the bus is lost it is dropped, and counted by the gate.

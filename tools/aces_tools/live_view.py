@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
 
 from .verbs import wanted_options
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     class ShownStates(RunLogger, Protocol):
         """A logger of a run that also takes quantities directly."""
 
-        def read(self, reads: Mapping[str, tuple[str, Callable[[], Any]]]) -> None:
+        def read(self, reads: Mapping[str, tuple[str, Callable[[], object]]]) -> None:
             """Show these quantities: name → unit, and what reads the value."""
             ...
 
@@ -47,7 +48,7 @@ class ShownRecords(Protocol):
 class ShownBus(Protocol):
     """Takes what passes one side of a bus."""
 
-    def passed(self, packet: Any, instant: int, is_sent: bool) -> None:
+    def passed(self, packet: Frame | bytes, instant: int, is_sent: bool) -> None:
         """Show a frame or piece of bytes, of an instant in ns of the view's clock; never waits."""
         ...
 

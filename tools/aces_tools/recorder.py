@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus import FrameTable
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.hardware.gate import Received
 from aces_bus.recordings.base import Chunk, Direction, Link
 
 from .live import received_frame
@@ -88,10 +89,10 @@ class RecordingFile:
         """Frames, or bytes, that are in the file."""
         return self._log.committed
 
-    def _size(self, items: Sequence[Any]) -> int:
+    def _size(self, items: Sequence[Received[Any]]) -> int:
         return len(items) if self.link == "can" else sum(len(item.content) for item in items)
 
-    def _record(self, items: Sequence[Any]) -> None:
+    def _record(self, items: Sequence[Received[Any]]) -> None:
         """Write items; what does not go in at once goes one by one, up to the first that does not."""
         self.lost += self._size(items)
         pieces: list[Sequence[Any]] = [items]

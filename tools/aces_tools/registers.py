@@ -45,7 +45,7 @@ class RegisterNotes:
         }
         self._notes: dict[int, list[PrintedField]] = {}
 
-    def see(self, items: Iterable[Any]) -> None:
+    def see(self, items: Iterable[Record]) -> None:
         """Take records, and remember what they ask for."""
         if not self._tables:
             return

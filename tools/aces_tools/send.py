@@ -27,7 +27,7 @@ import msgspec
 from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.frames import message_to_frame
-from aces_bus.protocol import CanScanner, Message, Variant
+from aces_bus.protocol import CanScanner, Message, Record, Variant
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.record import Meta
 from aces_bus.recordings.base import Chunk
@@ -486,7 +486,7 @@ class Replies:
                 self._output.write(self._writer.begin(self._name, self._link, wanted[0].meta.time))
             self._print(self._writer.items(wanted), len(wanted))
 
-    def _decoded(self, item: Any) -> list[Any]:
+    def _decoded(self, item: Record) -> list[Any]:
         seconds = (item.host_ns + self._epoch_ns) / 1e9
         found: list[Any]
         if self._link == "can":

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -120,7 +121,7 @@ class ArrowLayout:
         ]
         return pa.RecordBatch.from_arrays(arrays, schema=self.schema)
 
-    def _array(self, pa: Any, slot: DatasetColumn, type_: Any, piece: ColumnValues) -> Any:
+    def _array(self, pa: ModuleType, slot: DatasetColumn, type_: Any, piece: ColumnValues) -> Any:
         values, absent = piece
         if slot.holds == "label":
             names = self.sources.names if slot.role == "source" else self.labels.names
@@ -137,7 +138,7 @@ class ArrowLayout:
         return _as_they_lie(pa, type_, values, np.bool_ if slot.holds == "bool" else slot.dtype, absent)
 
 
-def _dictionary(pa: Any, codes: Array, absent: Array | None, names: list[str]) -> Any:
+def _dictionary(pa: ModuleType, codes: Array, absent: Array | None, names: list[str]) -> Any:
     indices = _as_they_lie(pa, pa.int32(), codes, np.int32, absent)
     return pa.DictionaryArray.from_arrays(indices, _texts(pa, pa.string(), names))
 
@@ -158,7 +159,7 @@ def _bits(flags: Array) -> Array:
     return np.packbits(flags, bitorder="little")
 
 
-def _texts(pa: Any, type_: Any, values: list[Any]) -> Any:
+def _texts(pa: ModuleType, type_: Any, values: list[Any]) -> Any:
     """Return texts or bytes, None where there is none."""
     present = None
     if None in values:
@@ -174,7 +175,7 @@ def _texts(pa: Any, type_: Any, values: list[Any]) -> Any:
     return pa.Array.from_buffers(type_, len(data), buffers)
 
 
-def _type(pa: Any, slot: DatasetColumn, *, absolute: bool, is_named: bool) -> Any:
+def _type(pa: ModuleType, slot: DatasetColumn, *, absolute: bool, is_named: bool) -> Any:
     if slot.holds == "time":
         return pa.timestamp("ns", "UTC") if absolute else pa.duration("ns")
     if slot.holds == "label" or (is_named and slot.dtype.itemsize <= DICTIONARY_BYTES):

@@ -12,7 +12,6 @@ a false header before it that promised more. With `include_unknown`, pieces of d
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from ..declare.message import GivenWay
 from ..declare.protocol import Variant
 from ..live.scanner import make_scanner
 from ..live.stream import RUN, WORTH, StreamScanner
+from ..record import Record
 from .packets import Batch, PacketTables
 from .scanner import RecordColumns
 from .survey import Decided, LossRuns, Survey, losses_of, totals_of
@@ -187,7 +187,7 @@ class StreamColumns:
         tables: list[MessageTable] = []
 
         def one_by_one(indices: range) -> None:
-            found: list[Any] = []
+            found: list[Record] = []
             for index in indices:
                 loss = losses.item(index, base, buffer)
                 if scanner.run is not None and loss[0] != scanner.run[0] + len(scanner.run[2]):
@@ -200,7 +200,7 @@ class StreamColumns:
 
         one_by_one(range(first))
         if last > first:
-            found: list[Any] = []
+            found: list[Record] = []
             scanner.end_run(found)
             tables += records.tables(found, None)
             some = slice(first, last)

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import or_
-from typing import Any
+from typing import Any, BinaryIO
 
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
 
@@ -77,7 +77,7 @@ class Bits(Construct):
         self.bytes = (width + 7) // 8
 
     # A layout hands each field its bits as a little big-endian number, so that adapters work as on any stream.
-    def _parse(self, stream: Any, context: Any, path: str) -> int | float:
+    def _parse(self, stream: BinaryIO, context: Container, path: str) -> int | float:
         data = stream_read(stream, self.bytes, path)
         if self.is_float:
             return float(struct.unpack(FLOATS[self.width], data)[0])
@@ -102,7 +102,7 @@ class Bits(Construct):
         low = -(1 << self.width - 1) if self.signed else 0
         return low, low + (1 << self.width) - 1
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> Any:
         if self.is_float:
             try:
                 stream.write(struct.pack(FLOATS[self.width], obj))
@@ -118,7 +118,7 @@ class Bits(Construct):
         stream.write((obj & ((1 << self.width) - 1)).to_bytes(self.bytes, "big"))
         return obj
 
-    def _sizeof(self, context: Any, path: str) -> int:
+    def _sizeof(self, context: Container, path: str) -> int:
         return self.bytes
 
 
@@ -154,7 +154,7 @@ class Tuple(Construct):
         self.subcons = list(subcons)
         self.place = caller()
 
-    def _sizeof(self, context: Any, path: str) -> int:
+    def _sizeof(self, context: Container, path: str) -> int:
         return sum(sc._sizeof(context, path) for sc in self.subcons)
 
 
@@ -175,11 +175,11 @@ class ByteSplit(Bits):
         self._layout = BitLayout(self.bytes, "number" / field)
         (self.slot,) = self._layout.slots
 
-    def _parse(self, stream: Any, context: Any, path: str) -> int | float:
+    def _parse(self, stream: BinaryIO, context: Container, path: str) -> int | float:
         word = int.from_bytes(stream_read(stream, self.bytes, path), "little")
         return self.raw_of(self.slot.read(word))
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> Any:
         out = io.BytesIO()
         super()._build(obj, out, context, path)
         stream.write(self.slot.write(int.from_bytes(out.getvalue(), "big")).to_bytes(self.bytes, "little"))
@@ -339,7 +339,7 @@ class BitLayout(Construct):
                     "; if that is meant: overlapping=True"
                 )
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Container:
+    def _parse(self, stream: BinaryIO, context: Container, path: str) -> Container:
         word = int.from_bytes(stream_read(stream, self.size, path), "little")
         values = Container()
         inner = Container(
@@ -368,7 +368,7 @@ class BitLayout(Construct):
             values[self.trailing] = stream.read()
         return values
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> Any:
         word = 0
         claimed = 0
         inner = Container(
@@ -423,5 +423,5 @@ class BitLayout(Construct):
         names = [s.name for s in self.slots[: self.slots.index(slot)] if s.mask & slot.mask]
         return " or ".join(dict.fromkeys(names))
 
-    def _sizeof(self, context: Any, path: str) -> int:
+    def _sizeof(self, context: Container, path: str) -> int:
         return self.size

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from decimal import Decimal
 from math import inf
-from typing import Any
+from typing import Any, BinaryIO
 
 from construct import Construct, Container, GreedyBytes, ListContainer, ValidationError, stream_read_entire
 
@@ -37,7 +37,7 @@ class AsciiField(Field):
             raise ValidationError(f"{text!r} is not of its form", path=path)
         return text if is_raw(context) else self.to_physical(text)
 
-    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+    def _encode(self, obj: Any, context: Container, path: str) -> Any:
         text = obj if is_raw(context) else "" if obj is None else self.to_raw(obj, path)
         if not isinstance(text, str) or not self.accepts(text):
             raise FieldError(f"{path}: {obj!r} cannot be written here")
@@ -168,7 +168,7 @@ class Delimited(Construct):
             raise SpecError(f"{self.place}: at least one field of a Delimited is not optional")
         self.least_size = len(self.separator) * (self.least - 1 + lead)
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Container:
+    def _parse(self, stream: BinaryIO, context: Container, path: str) -> Container:
         data: bytes = stream_read_entire(stream, path)
         if self.lead:
             if not data.startswith(self.separator):
@@ -187,7 +187,7 @@ class Delimited(Construct):
             values["more"] = ListContainer(part.decode("latin-1") for part in parts[len(self.fields) :])
         return values
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> Any:
         parts: list[bytes] = []
         # Trailing optional fields without a value are left out; in raw mode "" is a field that is there and empty.
         count = len(self.fields)
@@ -206,7 +206,7 @@ class Delimited(Construct):
         stream.write((self.separator if self.lead else b"") + self.separator.join(parts))
         return obj
 
-    def _sizeof(self, context: Any, path: str) -> int:
+    def _sizeof(self, context: Container, path: str) -> int:
         from construct import SizeofError
 
         raise SizeofError("depends on the values", path=path)

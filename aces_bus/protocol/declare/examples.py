@@ -24,6 +24,7 @@ import msgspec
 
 from ...errors import SpecError
 from ...frames import EXTENDED
+from ..record import FieldValue
 from .place import SourceLine
 from .transport import Transport
 
@@ -69,7 +70,7 @@ class Example(msgspec.Struct, frozen=True):
     """
 
     packet: ExampleFrame
-    fields: Mapping[str, Any]
+    fields: Mapping[str, FieldValue]
     request: ExampleFrame | None = None
     frames: tuple[ExampleFrame, ...] = ()
 

@@ -30,6 +30,7 @@ from construct import (
 )
 
 from ...errors import FieldError, SpecError
+from ..record import FieldValue
 from .place import SourceLine, caller
 
 # ---------------------------------------------------------------------- fields that are there only while another has a value
@@ -50,16 +51,16 @@ class Multiplexed(Construct):
         self.flagbuildnone = True
         self.enumeration: Enumeration | None = None
 
-    def is_present(self, context: Any) -> bool:
+    def is_present(self, context: Container) -> bool:
         value = context[self.selector]
         if isinstance(value, str) and self.enumeration is not None:
             value = self.enumeration.names.get(value)
         return value in self.when
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+    def _parse(self, stream: BinaryIO, context: Container, path: str) -> Any:
         return self.body._parsereport(stream, context, path) if self.is_present(context) else None
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> Any:
         if self.is_present(context):
             return self.body._build(obj, stream, context, path)
         if obj is not None:
@@ -76,7 +77,7 @@ class Multiplexed(Construct):
         """Return the error for a value that is given while the field is not there."""
         return FieldError(f"{path}: only there while {self.selector} is {number_runs(self.when)}")
 
-    def _sizeof(self, context: Any, path: str) -> Any:
+    def _sizeof(self, context: Container, path: str) -> Any:
         return self.body._sizeof(context, path) if self.is_present(context) else 0
 
 
@@ -99,7 +100,7 @@ class Present(Multiplexed):
         made.place = self.place
         return made
 
-    def is_present(self, context: Any) -> bool:
+    def is_present(self, context: Container) -> bool:
         value = context[self.selector] if self.selector in context else context._.get(self.selector)
         return value is not None and bool(int(value) >> self.bit & 1)
 
@@ -131,7 +132,7 @@ def number_runs(values: Collection[int]) -> str:
 # ---------------------------------------------------------------------- numbers on the wire: kind, size, byte order, limits
 
 
-def plain_number(value: Any) -> Any:
+def plain_number(value: FieldValue) -> Any:
     """Return a number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
     if isinstance(value, (int, float)):
         return value
@@ -189,7 +190,7 @@ def integer_width(subcon: Construct) -> int:
     return width if isinstance(width, int) else int(inner.sizeof()) * 8
 
 
-def raw_limits(con: Any) -> tuple[int, int] | None:
+def raw_limits(con: Construct) -> tuple[int, int] | None:
     """Return the least and the greatest number that a construct gives; None where it is no integer of fixed size."""
     while isinstance(con, Subconstruct) and not isinstance(con, Adapter):
         con = con.subcon
@@ -207,7 +208,7 @@ def raw_limits(con: Any) -> tuple[int, int] | None:
 MOST_LISTED = 8
 
 
-def is_raw(context: Any) -> bool:
+def is_raw(context: Container) -> bool:
     """Return whether the outermost call asked for raw values."""
     return bool(context._params.get("raw", False))
 
@@ -249,7 +250,7 @@ class Field(Adapter):
     def _decode(self, obj: Any, context: Any, path: str) -> Any:
         return obj if is_raw(context) else self.to_physical(obj)
 
-    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+    def _encode(self, obj: Any, context: Container, path: str) -> Any:
         return obj if is_raw(context) else self.to_raw(obj, path)
 
     def to_physical(self, raw: Any) -> Any:
@@ -294,7 +295,7 @@ def top(count: int, *, bits: int | None = None) -> TopValues:
     return TopValues(count, bits, caller())
 
 
-def _outside(path: str, value: Any, unit: str, span: str) -> FieldError:
+def _outside(path: str, value: FieldValue, unit: str, span: str) -> FieldError:
     """Return the error of a value beyond the values that can be sent."""
     unit = unit and f" {unit}"
     return FieldError(f"{path}: {value!r}{unit} is outside {span}{unit}")
@@ -366,7 +367,7 @@ class Quantity(Field):
             reach = max(map(abs, (offset, *(bound for bound in self.range if math.isfinite(bound)))))
             self._slack = 8 * math.ulp(reach)
 
-    def _number(self, value: Any, what: str) -> Any:
+    def _number(self, value: FieldValue, what: str) -> Any:
         found = plain_number(value)
         if found is None:
             raise SpecError(f"{self.place}: a {what} is a number, not {value!r}")
@@ -438,7 +439,7 @@ class Quantity(Field):
             raise _outside(path, value, self.unit, f"{low:.10g}…{high:.10g}")
         return number
 
-    def _refuse_sentinel(self, number: Any, value: Any, path: str) -> None:
+    def _refuse_sentinel(self, number: Any, value: FieldValue, path: str) -> None:
         """Raise `FieldError` when a number would be read as something else than a number."""
         if self.values and number in self.values:
             raise FieldError(
@@ -587,7 +588,7 @@ class SignMagnitude(Field):
     def _decode(self, obj: Any, context: Any, path: str) -> Any:
         return self.to_physical(obj)
 
-    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+    def _encode(self, obj: Any, context: Container, path: str) -> Any:
         return self.to_raw(obj, path)
 
     def to_physical(self, raw: Any) -> Any:
@@ -710,7 +711,7 @@ class Counter(Field):
         self.raw_limits = raw_limits(subcon)
         self.flagbuildnone = True
 
-    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+    def _encode(self, obj: Any, context: Container, path: str) -> Any:
         return self.to_raw(obj, path)
 
     def to_physical(self, raw: Any) -> Any:

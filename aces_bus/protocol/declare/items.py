@@ -15,11 +15,12 @@ import copy
 import io
 from collections.abc import Callable, Mapping
 from operator import index
-from typing import Any, ClassVar, Literal
+from typing import Any, BinaryIO, ClassVar, Literal
 
 import construct as c
 
 from ...errors import FieldError, SpecError
+from ..record import FieldValue
 from .fields import WireNumber, is_raw, named_number, names_by_value, wire_number
 from .place import caller
 
@@ -103,7 +104,7 @@ class Items(c.Construct):
         #: How much more than the data the size counts, in bytes.
         self.counted = {"data": 0, "tag and data": self.tag.size, "item": self.head}[counts]
 
-    def _unsigned(self, con: Any, what: str) -> WireNumber:
+    def _unsigned(self, con: c.Construct, what: str) -> WireNumber:
         number = wire_number(con)
         if number is None or number.kind != "uint":
             raise SpecError(
@@ -131,7 +132,7 @@ class Items(c.Construct):
 
     # ------------------------------------------------------------------ reading
 
-    def _parse(self, stream: Any, context: Any, path: str) -> c.ListContainer:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> c.ListContainer:
         data: bytes = c.stream_read_entire(stream, path)
         items, at = c.ListContainer(), 0
         while at < len(data):
@@ -140,7 +141,7 @@ class Items(c.Construct):
             at += size
         return items
 
-    def _item(self, rest: bytes, context: Any, path: str) -> tuple[c.Container, int]:
+    def _item(self, rest: bytes, context: c.Container, path: str) -> tuple[c.Container, int]:
         """Return the first item of what is left, and how many bytes it takes."""
         if len(rest) < self.head:
             reason = f"malformed: {len(rest)} of the {self.head} bytes before an item's data"
@@ -161,7 +162,7 @@ class Items(c.Construct):
         if name is None:
             return c.Container(kind=kind, data=inside, reason=UNKNOWN), stop
         content = io.BytesIO(inside)
-        value: Any = None
+        value: FieldValue = None
         try:
             value = self.data[name]._parsereport(content, context, f"{path} -> {name}")
             is_whole = not content.read(1)
@@ -174,14 +175,14 @@ class Items(c.Construct):
 
     # ------------------------------------------------------------------ building
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: c.Container, path: str) -> Any:
         items = list(obj)
         for number, item in enumerate(items):
             where = f"{path}.{number}"
             stream.write(self._bytes(item, context, where, is_last=number == len(items) - 1))
         return obj
 
-    def _bytes(self, item: Any, context: Any, path: str, *, is_last: bool) -> bytes:
+    def _bytes(self, item: Any, context: c.Container, path: str, *, is_last: bool) -> bytes:
         if not isinstance(item, Mapping) or not {"kind", "data"} <= item.keys():
             raise FieldError(f"{path}: an item is {{'kind': …, 'data': …}}, not {item!r}")
         kind, value, reason = item["kind"], item["data"], item.get("reason")
@@ -210,7 +211,7 @@ class Items(c.Construct):
         head[self.size_at : self.size_at + self.size.size] = said.to_bytes(self.size.size, self.size.order)
         return bytes(head) + inside
 
-    def _built(self, name: str, value: Any, context: Any, path: str) -> bytes:
+    def _built(self, name: str, value: Any, context: c.Container, path: str) -> bytes:
         content = io.BytesIO()
         try:
             self.data[name]._build(value, content, context, f"{path} -> {name}")
@@ -220,7 +221,7 @@ class Items(c.Construct):
             raise FieldError(f"{path}: {value!r} is not a value of {name}") from None
         return content.getvalue()
 
-    def _sizeof(self, context: Any, path: str) -> int:
+    def _sizeof(self, context: c.Container, path: str) -> int:
         raise c.SizeofError("depends on the items", path=path)
 
 
@@ -228,7 +229,7 @@ def _read(data: bytes, at: int, number: WireNumber) -> int:
     return int.from_bytes(data[at : at + number.size], number.order)
 
 
-def _plain(value: Any, path: str) -> bytes:
+def _plain(value: FieldValue, path: str) -> bytes:
     if not isinstance(value, (bytes, bytearray, memoryview)):
         raise FieldError(f"{path}: the data of an unknown or malformed item are bytes, not {value!r}")
     return bytes(value)

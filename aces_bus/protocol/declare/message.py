@@ -17,6 +17,7 @@ import msgspec
 from msgspec.structs import replace
 
 from ...errors import CallerError, FieldError, SpecError, UnknownNameError
+from ..record import FieldValue
 from .bits import BitLayout, whole_bits
 from .checks import Check, Covered, DataIds, Extra
 from .delimited import Delimited
@@ -210,7 +211,7 @@ class Request(msgspec.Struct, frozen=True):
     message: Message
     values: tuple[tuple[str, frozenset[int]], ...] = ()
 
-    def accepts(self, raw: Mapping[str, Any]) -> bool:
+    def accepts(self, raw: Mapping[str, FieldValue]) -> bool:
         for name, wanted in self.values:  # noqa: SIM110 - once a reply: a generator costs more than it says
             if raw.get(name) not in wanted:
                 return False
@@ -244,7 +245,7 @@ class Message:
         prefix: c.Struct | None,
         payload: c.Construct | None,
         payload_from: str | None,
-        match: Mapping[str, Any],
+        match: Mapping[str, FieldValue],
         length: int | Collection[int] | None,
         extended: bool,
         remote: bool,
@@ -529,7 +530,7 @@ class Message:
             fields += [(item.name, getattr(item, "subcon", None)) for item in payload.subcons]
         return {name: field.modulo for name, field in fields if name and isinstance(field, Counter)}
 
-    def counter_key(self, name: str, values: Mapping[str, Any]) -> tuple[Any, ...]:
+    def counter_key(self, name: str, values: Mapping[str, FieldValue]) -> tuple[Any, ...]:
         """Return what the rolling counter `name` counts, by the raw fields of a packet: packets of one device, of this
         message, or of one direction of its framing where the counter is in the framing's header.
         """
@@ -677,7 +678,7 @@ class Message:
         data = data[: len(data) - self.behind]
         return Check.joined(data, self.check_over, identifier=identifier, extra=self.check_extra)
 
-    def question(self, fields: Mapping[str, Any] | None) -> bytes:
+    def question(self, fields: Mapping[str, FieldValue] | None) -> bytes:
         """Return the packet of the request that this message answers, by its raw fields: what its framing's check covers;
         empty where it covers no request.
 

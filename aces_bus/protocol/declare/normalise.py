@@ -16,7 +16,7 @@ import io
 import keyword
 import unicodedata
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 import construct as c
 
@@ -108,14 +108,14 @@ class _Expression:
     def __init__(self, expression: Callable[[Any], Any], known: Known) -> None:
         self.expression, self.known = expression, known
 
-    def __call__(self, context: Any) -> Any:
+    def __call__(self, context: c.Container) -> Any:
         return self.expression(_view(context, self.known))
 
     def __repr__(self) -> str:
         return repr(self.expression)
 
 
-def _view(context: Any, known: Known) -> Any:
+def _view(context: c.Container, known: Known) -> Any:
     """Return a context in which some enumerations equal number and name."""
     made = c.Container(context)
     below: dict[str, dict[tuple[str, ...], Enumeration]] = {}
@@ -454,7 +454,7 @@ class _Walk:
         return self.bound[id(con)]
 
 
-def _changed(con: Any, name: str, value: Any) -> Any:
+def _changed(con: c.Construct, name: str, value: Any) -> Any:
     """Return the same construct with another value of an attribute; itself, where that is the same."""
     if value is getattr(con, name):
         return con
@@ -470,7 +470,7 @@ class _Moving(c.Subconstruct):
         super().__init__(subcon)
         self.empty = empty
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> Any:
         start = stream.tell()
         value = self.subcon._parsereport(stream, context, path)
         if stream.tell() == start and context._index >= self.empty:
@@ -482,7 +482,7 @@ class _Moving(c.Subconstruct):
 class WholePrefixed(c.Prefixed):
     """construct's own, whose content takes all of its bytes; what it would leave over were lost."""
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> Any:
         length = self.lengthfield._parsereport(stream, context, path)
         if self.includelength:
             length -= self.lengthfield._sizeof(context, path)
@@ -496,7 +496,7 @@ class WholePrefixed(c.Prefixed):
 class WholeSized(c.FixedSized):
     """construct's own, whose content has all of its bytes; only what strips zeros may have fewer."""
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> Any:
         length = c.evaluate(self.length, context)
         inside = io.BytesIO(c.stream_read(stream, length, path))
         value = self.subcon._parsereport(inside, context, path)
@@ -504,7 +504,7 @@ class WholeSized(c.FixedSized):
             raise c.ValidationError(f"it has {length} bytes, its content fewer", path=path)
         return value
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: c.Container, path: str) -> Any:
         length = c.evaluate(self.length, context)
         inside = io.BytesIO()
         built = self.subcon._build(obj, inside, context, path)
@@ -521,7 +521,7 @@ class WholeTerminated(c.NullTerminated):
     def __init__(self, subcon: c.Construct, term: bytes) -> None:
         super().__init__(_Whole(subcon), term)
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: c.Container, path: str) -> Any:
         inside = io.BytesIO()
         built = self.subcon._build(obj, inside, context, path)
         data, unit = inside.getvalue(), len(self.term)
@@ -534,7 +534,7 @@ class WholeTerminated(c.NullTerminated):
 class _Whole(c.Subconstruct):
     """Content that takes all bytes that there are."""
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> Any:
         value = self.subcon._parsereport(stream, context, path)
         if stream.read(1):
             raise c.ValidationError("bytes are left over before the end", path=path)

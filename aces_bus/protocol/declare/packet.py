@@ -15,7 +15,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from operator import index
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from construct import (
     Array,
@@ -29,7 +29,7 @@ from construct import (
 )
 
 from ...errors import FieldError
-from ...frames import FD, key_of
+from ...frames import FD, AnyFrame, key_of
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
@@ -107,7 +107,7 @@ def key_image(key: int, data: bytes) -> bytes:
     return (key & ~FD).to_bytes(4, "big") + (bytes([FD_FLAG]) if key & FD else b"\0") + data
 
 
-def frame_image(frame: Any) -> bytes:
+def frame_image(frame: AnyFrame) -> bytes:
     """Return the image of a frame, ours or python-can's."""
     return can_image(
         frame.arbitration_id,
@@ -130,7 +130,7 @@ class PacketStruct(Construct):
 
     # ------------------------------------------------------------------ parsing
 
-    def _parse(self, stream: Any, context: Any, path: str) -> Container:
+    def _parse(self, stream: BinaryIO, context: Container, path: str) -> Container:
         try:
             return self._read(stream, context, path)
         except (NotThisError, LengthError, WrongCheckError, ContentError):
@@ -138,7 +138,7 @@ class PacketStruct(Construct):
         except Exception as error:  # whatever a construct raises, construct's own or a user's
             raise ContentError(self.message, error, path) from error
 
-    def _read(self, stream: Any, context: Any, path: str) -> Container:
+    def _read(self, stream: BinaryIO, context: Container, path: str) -> Container:
         packet: bytes = stream_read_entire(stream, path)
         message = self.message
         values = Container()
@@ -196,7 +196,7 @@ class PacketStruct(Construct):
             self._fields(values, data, end, context, "(looking)")
         return values
 
-    def _fields(self, values: Container, data: bytes, end: int, context: Any, path: str) -> None:
+    def _fields(self, values: Container, data: bytes, end: int, context: Container, path: str) -> None:
         """Read head fields and payload into `values`."""
         message = self.message
         inner = Container(
@@ -221,7 +221,7 @@ class PacketStruct(Construct):
             values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
 
     @staticmethod
-    def _read_head(head: Head, data: bytes, context: Any, values: Container, path: str) -> None:
+    def _read_head(head: Head, data: bytes, context: Container, values: Container, path: str) -> None:
         if head.pattern is not None and not head.is_own:
             _read_captures(head.pattern, head.pattern.match(head.number(data)) or {}, context, values)
         elif head.name is not None and not head.is_constant:
@@ -231,7 +231,7 @@ class PacketStruct(Construct):
 
     # ------------------------------------------------------------------ building
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: Container, path: str) -> Any:
         message = self.message
         raw = is_raw(context)
         for name, flags in self._flags.items():
@@ -281,7 +281,7 @@ class PacketStruct(Construct):
         )
         return obj
 
-    def _head_bytes(self, head: Head, obj: Any, context: Any, raw: bool, path: str) -> bytes:
+    def _head_bytes(self, head: Head, obj: Any, context: Container, raw: bool, path: str) -> bytes:
         framing = self.message.framing
         if framing is not None and head.name in framing.derived:
             return bytes(head.size)
@@ -421,13 +421,15 @@ class PacketStruct(Construct):
         start, size, order = message.check_span
         return data[:start] + number.to_bytes(size, order) + data[start + size :]
 
-    def _sizeof(self, context: Any, path: str) -> int:
+    def _sizeof(self, context: Container, path: str) -> int:
         from construct import SizeofError
 
         raise SizeofError("a packet's size depends on its message", path=path)
 
 
-def _read_captures(pattern: IdPattern, captures: Mapping[str, int], context: Any, values: Container) -> None:
+def _read_captures(
+    pattern: IdPattern, captures: Mapping[str, int], context: Container, values: Container
+) -> None:
     """Put the parts of a number into `values`."""
     for capture in pattern.captures:
         raw = captures[capture.name]

@@ -11,7 +11,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...frames import EXTENDED
+from ...frames import EXTENDED, AnyFrame
 from .packet import can_image
 from .transport import FramePart, Transport
 
@@ -20,7 +20,7 @@ from .transport import FramePart, Transport
 class GivenFrame:
     """A frame of a transport: the frame, its number, its data and what it is."""
 
-    frame: Any
+    frame: AnyFrame
     number: int
     data: bytes
     part: FramePart
@@ -345,7 +345,7 @@ class PacketRule:
         why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, session.frames, reason)
         return [DecidedFrames(tuple(session.frames), why)]
 
-    def _is_late(self, session: _Session, frame: Any) -> bool:
+    def _is_late(self, session: _Session, frame: AnyFrame) -> bool:
         last, now = session.frames[-1].frame.timestamp, frame.timestamp
         return last is not None and now is not None and now - last > self.transport.gap_s(session.first)
 

@@ -13,6 +13,7 @@ import construct as c
 import msgspec
 
 from ...errors import FieldError, SpecError, UnknownNameError
+from ..record import FieldValue
 from .fields import Quantity
 from .normalise import normalised_field
 from .place import SourceLine, caller
@@ -164,7 +165,7 @@ class RegisterMap(Mapping[str, Register]):
         assert name is not None
         return bytes(self.protocol.encode(name, id=id, start=start, data=data))
 
-    def stretch(self, values: Mapping[str, Any]) -> tuple[int, bytes]:
+    def stretch(self, values: Mapping[str, FieldValue]) -> tuple[int, bytes]:
         """Return the first address and the bytes of registers that stand side by side, by name.
 
         Raises `UnknownNameError`, and `FieldError` for one that can only be read, for values that do not fit and for gaps.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import construct as c
-from construct import core
+from construct import Construct, core
 
 #: Read and built as they are; nothing is inside them that could lose bytes.
 LEAVES: frozenset[type] = frozenset(
@@ -131,7 +131,7 @@ def construct_class(con: c.Construct) -> type | None:
     return next(k for k in kind.__mro__ if k in LEAVES or k in WALKED or k in REFUSED)
 
 
-def construct_name(con: Any) -> str:
+def construct_name(con: Construct) -> str:
     """Return construct's own name of a field's class, for texts."""
     return type(con).__name__.removeprefix("Whole")
 

@@ -23,6 +23,7 @@ from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheck
 from ..declare.pattern import describe_values
 from ..draw.cells import Mark, marks_of
 from ..plan import nodes as p
+from ..record import FieldValue
 
 #: The value of a constant behind its name.
 _VALUE = re.compile(r" 0x[0-9a-f]{2}$")
@@ -91,7 +92,7 @@ class Template:
             return self._bad(data, judged.reason)
         return None
 
-    def last_part(self, image: bytes, request: Mapping[str, Any] | None) -> tuple[str, str] | None:
+    def last_part(self, image: bytes, request: Mapping[str, FieldValue] | None) -> tuple[str, str] | None:
         """Say why a whole packet or frame is not this message after all."""
         try:
             self.message.struct.parse(image, raw=True, request=request)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ...frames import AnyFrame
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import GivenWay, Message
 from ..declare.packet import frame_image
@@ -170,7 +171,7 @@ class Tracer(Reference):
 
     # ------------------------------------------------------------------ frames
 
-    def explain_frames(self, frames: Iterable[Any], first: int = 0) -> list[Attempt]:
+    def explain_frames(self, frames: Iterable[AnyFrame], first: int = 0) -> list[Attempt]:
         """Return what frames are, and why, the first one being number `first`; frames must come in their order, since
         replies hang
         on requests and packets on the frames before. A packet that a transport carried is one attempt, with its last frame.
@@ -353,7 +354,7 @@ def _completed(steps: list[Step], found: ReferenceItem) -> list[Step]:
 Part = tuple[str, str, int | None]
 
 
-def frame_parts(frame: Any, data: bytes) -> list[Part]:
+def frame_parts(frame: AnyFrame, data: bytes) -> list[Part]:
     digits = 8 if frame.is_extended_id else 3
     kinds = [
         k for k, given in (("29 bits", frame.is_extended_id), ("remote", frame.is_remote_frame)) if given
@@ -366,7 +367,7 @@ def frame_parts(frame: Any, data: bytes) -> list[Part]:
 
 
 def frame_death(
-    template: Template, frame: Any, data: bytes, part: Part, transport: Transport | None = None
+    template: Template, frame: AnyFrame, data: bytes, part: Part, transport: Transport | None = None
 ) -> tuple[str, str] | None:
     message = template.message
     place, _, offset = part
@@ -389,7 +390,7 @@ def frame_death(
             return template.death(data[: offset + 1], None, None)
 
 
-def _is_kind(message: Message, frame: Any) -> bool:
+def _is_kind(message: Message, frame: AnyFrame) -> bool:
     kind = (bool(frame.is_extended_id), bool(frame.is_remote_frame))
     return kind == (message.extended, message.remote) and bool(frame.is_fd) in message.formats
 
@@ -412,7 +413,7 @@ def unchosen(template: Template, found: ReferenceItem, request: PastRequest | No
     return None
 
 
-def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[FieldRead, ...]:
+def captures(lead: Template, living: Sequence[Template], frame: AnyFrame) -> tuple[FieldRead, ...]:
     raws = lead.message.identifier.match(frame.arbitration_id) or {}
     name = "" if len(living) <= 1 else lead.name
     return tuple(

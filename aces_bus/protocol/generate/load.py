@@ -350,7 +350,13 @@ def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     framing = message.framing
 
     def decode(
-        data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
+        data: bytes,
+        key: int,
+        time: float | None,
+        channel: str | int | None,
+        raw_bytes: bytes,
+        rx: bool | None,
+        request: Any = None,
     ) -> Any:
         if framing is None:
             image = key_image(key, data)

@@ -23,7 +23,7 @@ from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
 from ..declare.protocol import Variant
 from ..protocol import Protocol
-from ..record import plain_value
+from ..record import FieldValue, plain_value
 from ..reference import Reference, ReferenceItem
 from .finding import Finding
 
@@ -94,7 +94,7 @@ def failure(message: Message, example: Example) -> str | None:
     return _unrecognised(message, example)
 
 
-def _wanted_check(message: Message, packet: bytes, request: Mapping[str, Any] | None) -> str:
+def _wanted_check(message: Message, packet: bytes, request: Mapping[str, FieldValue] | None) -> str:
     """Say what the check of a packet would have to be, if its framing's check fails."""
     framing = message.framing
     if framing is None or framing.check is None:
@@ -221,7 +221,7 @@ def agree(found: Any, wanted: Any) -> bool:
     return bool(found == wanted)
 
 
-def show_value(value: Any) -> str:
+def show_value(value: FieldValue) -> str:
     """Return a value in a sentence: bytes as hexadecimal, floats short."""
     match value:
         case bytes():

@@ -17,6 +17,7 @@ from math import isinf
 from typing import Any
 
 import construct as c
+from construct import Construct
 
 from ..declare.bits import BitLayout
 from ..declare.delimited import Delimited
@@ -405,7 +406,7 @@ def _heads(message: Message) -> Iterator[Written]:
             yield from _walk(head.field, message.name, head.name, message.place)
 
 
-def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Written]:
+def _walk(con: Construct, owner: str, name: str, place: SourceLine) -> Iterator[Written]:
     if isinstance(con, c.Renamed):
         inner = f"{name}.{con.name}" if name and con.name else con.name or name
         yield from _walk(con.subcon, owner, inner, place)

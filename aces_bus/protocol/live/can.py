@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from construct import ConstructError
 
 from ...errors import AcesError, CallerError
-from ...frames import EXTENDED, FD, REMOTE, key_of
+from ...frames import EXTENDED, FD, REMOTE, AnyFrame, key_of
 from ..counts import ScanCounts
 from ..declare.message import GivenWay, Message, way_of
 from ..declare.packet import ContentError, LengthError, WrongCheckError, key_image
@@ -246,7 +246,7 @@ class CanScanner:
         return decode
 
     def _chain(self, found: Sequence[Decode]) -> Decode:
-        def decode(*frame: Any) -> Any:
+        def decode(*frame: AnyFrame) -> Any:
             for decode_message in found:
                 try:
                     record = decode_message(*frame)
@@ -274,7 +274,7 @@ class CanScanner:
         counts.missed = sum(wire.missed for wire in self.wires)
         return counts
 
-    def feed(self, frames: Iterable[Any], /) -> list[Record]:
+    def feed(self, frames: Iterable[AnyFrame], /) -> list[Record]:
         """Return the records of `frames`, in order; see the class."""
         return self._make_feed()(frames)
 
@@ -311,8 +311,8 @@ class CanScanner:
         unusual = self._unusual
         error = struct.error
 
-        def feed(frames: Iterable[Any]) -> list[Any]:
-            out: list[Any] = []
+        def feed(frames: Iterable[AnyFrame]) -> list[Record]:
+            out: list[Record] = []
             try:
                 each = iter(frames)
             except TypeError:
@@ -359,7 +359,7 @@ class CanScanner:
         names = frames.channels.names
         channels = [names[number] for number in frames.channel.tolist()]
         flags = frames.flags.tolist() if frames.flags.any() else repeat(0, len(frames))
-        out: list[Any] = []
+        out: list[Record] = []
         rows = zip(frames.time.tolist(), channels, frames.id.tolist(), flags, datas, strict=True)
         for number, (time, channel, key, flag, data) in enumerate(rows):
             record = None
@@ -387,16 +387,18 @@ class CanScanner:
         carrier = self._find_carrier(bare) if self._carriers else None
         return carrier.transport if carrier is not None and (key == bare or carrier.transport.fd) else None
 
-    def carries(self, frame: Any) -> bool:
+    def carries(self, frame: AnyFrame) -> bool:
         """Return whether a frame is a transport's."""
         key = key_of(
             frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
         )
         return self.transport_of(key) is not None
 
-    def feed_numbered(self, frames: Iterable[Any], numbers: Iterable[int]) -> tuple[list[Record], list[int]]:
+    def feed_numbered(
+        self, frames: Iterable[AnyFrame], numbers: Iterable[int]
+    ) -> tuple[list[Record], list[int]]:
         """Feed like `feed`, and return for each record the number of its frame; of a packet, of its last frame."""
-        out: list[Any] = []
+        out: list[Record] = []
         origins: list[int] = []
         for frame, number in zip(frames, numbers, strict=True):
             self._number, self._origins = number, []
@@ -406,7 +408,7 @@ class CanScanner:
         self._origins = None
         return out, origins
 
-    def _unusual(self, frame: Any, out: list[Any]) -> None:
+    def _unusual(self, frame: AnyFrame, out: list[Record]) -> None:
         """Handle a frame that is unusual, of an unknown identifier or refused: append its record or its loss."""
         identifier = frame.arbitration_id
         if frame.is_error_frame:
@@ -439,12 +441,12 @@ class CanScanner:
             self._carrier_of[key] = found
         return found
 
-    def _carry(self, carrier: _Carrier, frame: Any, key: int, data: bytes, out: list[Any]) -> None:
+    def _carry(self, carrier: _Carrier, frame: Any, key: int, data: bytes, out: list[Record]) -> None:
         packets = carrier.reassembler.take(frame, self._number, key, data, frame.channel, frame.timestamp)
         for packet in packets:
             self._packet(carrier, packet, out)
 
-    def _packet(self, carrier: _Carrier, packet: Packet, out: list[Any]) -> None:
+    def _packet(self, carrier: _Carrier, packet: Packet, out: list[Record]) -> None:
         """Append a packet's record, or the loss of its frames."""
         frames, reason = packet.frames, packet.reason
         if not reason:
@@ -486,7 +488,7 @@ class CanScanner:
         reasons = [wire.reason(key, data, transport) for wire in self.wires]
         return None, next((r for r in reasons if r != "unknown"), "unknown")
 
-    def _rare(self, frame: Any, key: int, data: bytes) -> Any:
+    def _rare(self, frame: AnyFrame, key: int, data: bytes) -> Any:
         """Return the record of a frame with flags, or with a key that comes for the first time."""
         decode = self._table.get(key) or self._lookup(key)
         if decode is None:
@@ -512,7 +514,7 @@ class CanScanner:
                 carrier.extras[key] = extra
         return transport.unwrapped(packet.data, extra)
 
-    def _lost(self, frame: Any, reason: str, out: list[Any]) -> None:
+    def _lost(self, frame: AnyFrame, reason: str, out: list[Record]) -> None:
         self._counts.lose(1, reason)
         if self.include_unknown:
             out.append(self._unknown(frame, reason))
@@ -564,7 +566,7 @@ class CanScanner:
             if not packet.reason and (data := self._unwrapped(carrier, packet)) is not None:
                 self._note(self._request_of(packet.key, data, carrier.transport), frame)
 
-    def noting(self, frame: Any) -> Callable[[], None] | None:
+    def noting(self, frame: AnyFrame) -> Callable[[], None] | None:
         """Return a function to call whenever this frame was sent, instead of `sent`; None if no reply depends on it."""
         key = self._key_of(frame)
         if self._carrier_at(key) is not None:
@@ -577,7 +579,7 @@ class CanScanner:
         return note
 
     @staticmethod
-    def _key_of(frame: Any) -> int:
+    def _key_of(frame: AnyFrame) -> int:
         key: int = frame.arbitration_id
         if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
             key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
@@ -591,7 +593,7 @@ class CanScanner:
         return self._carrier_of[bare] if bare in self._carrier_of else self._find_carrier(bare)
 
     @staticmethod
-    def _note(known: tuple[Any, str, Mapping[str, Any]] | None, frame: Any) -> None:
+    def _note(known: tuple[Any, str, Mapping[str, Any]] | None, frame: AnyFrame) -> None:
         if known is not None:
             wire, name, values = known
             wire.context.note(name, frame.channel, frame.timestamp, values)
@@ -643,12 +645,12 @@ class CanScanner:
         self._left += len(left)
         if not self.include_unknown:
             return [], []
-        out: list[Any] = [self._unknown(frame.frame, "pending") for frame in left]
+        out: list[Record] = [self._unknown(frame.frame, "pending") for frame in left]
         self._given[0] += len(out)
         return out, [frame.number for frame in left]
 
     def _end(self, packets: Iterable[Packet]) -> list[Record]:
-        out: list[Any] = []
+        out: list[Record] = []
         for packet in packets:
             for frame in packet.frames:
                 self._lost(frame.frame, packet.reason, out)

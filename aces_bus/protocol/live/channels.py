@@ -84,7 +84,7 @@ class ChannelScanner(ChannelScanners[CanScanner]):
 
     def feed(self, frames: Iterable[Any], /) -> list[Record]:
         """Return the records of `frames`, in order."""
-        out: list[Any] = []
+        out: list[Record] = []
         for channel, some in groupby(frames, key=lambda frame: frame.channel):
             out += self.of(channel).feed(list(some))
         return out

@@ -16,6 +16,7 @@ from typing import Any
 from ...compiling import mypyc_attr
 from ..declare.ambiguity import request_names
 from ..declare.message import REQUESTS, Message, Request
+from ..record import FieldValue
 
 DEVICES = 65536
 
@@ -30,7 +31,7 @@ class Entry:
 
     number: int
     time: float | None
-    values: Mapping[str, Any]
+    values: Mapping[str, FieldValue]
     consumed: bool = False
     #: Of a request to everyone: who has answered it.
     answered: set[tuple[Any, ...]] = field(default_factory=set)
@@ -113,12 +114,14 @@ class Context:
         self._count = 0
         self._last = self._awaited_at = None
 
-    def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
+    def note(
+        self, name: str, channel: str | int | None, time: float | None, values: Mapping[str, FieldValue]
+    ) -> None:
         """Note that a request has passed."""
         self.noting(name, channel, time, values)()
 
     def noting(
-        self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]
+        self, name: str, channel: str | int | None, time: float | None, values: Mapping[str, FieldValue]
     ) -> Callable[[], None]:
         """Return a function to call whenever this request has passed: for a request that is repeated."""
         keys = [(name, channel, shared, who(values)) for shared, who in self._kinds[name].items()]
@@ -194,7 +197,9 @@ class Context:
                 return message, entry.values
         return None
 
-    def modes_of(self, messages: Sequence[Message], identifier: int, channel: Any) -> Modes | None:
+    def modes_of(
+        self, messages: Sequence[Message], identifier: int, channel: str | int | None
+    ) -> Modes | None:
         """Return for `mode` the requests that messages with this identifier hang on, and where each is found.
 
         None where the identifier alone does not say, or a request is used up or too old some time.
@@ -232,7 +237,11 @@ class Context:
         return None
 
     def pending(
-        self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
+        self,
+        message: Message,
+        values: Mapping[str, FieldValue],
+        channel: str | int | None,
+        time: float | None,
     ) -> Mapping[str, Any] | None:
         """Return the request that a reply with these outer fields would answer: for payloads whose layout is in their
         request.
@@ -250,7 +259,7 @@ class Context:
     def _latest(
         self,
         link: RequestLink,
-        channel: Any,
+        channel: str | int | None,
         wanted: tuple[Any, ...],
         who: tuple[Any, ...],
         within: float | None,

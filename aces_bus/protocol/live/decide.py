@@ -18,7 +18,7 @@ from ..declare.protocol import Variant
 from ..generate.load import decoders_of, load_source
 from ..generate.scan import Choice, choose, print_choice
 from ..generate.source import SourceText
-from ..record import field_names
+from ..record import Record, field_names
 from .context import Context, Modes
 
 #: Devices whose rolling counters are remembered.
@@ -151,7 +151,14 @@ class Decider:
         if not is_request and not is_answer:
             return decode
 
-        def noted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+        def noted(
+            data: bytes,
+            key: int,
+            time: float | None,
+            channel: str | int | None,
+            packet: bytes,
+            rx: bool | None,
+        ) -> Any:
             record = decode(data, key, time, channel, packet, rx)
             if record is not None and is_answer:
                 seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
@@ -162,7 +169,15 @@ class Decider:
 
         return noted
 
-    def note(self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes) -> bool:
+    def note(
+        self,
+        message: Message,
+        data: bytes,
+        key: int,
+        time: float | None,
+        channel: str | int | None,
+        packet: bytes,
+    ) -> bool:
         """Note a packet that may be the request `message`; whether it is."""
         values = self.request_values(message, data, key, packet)
         if values is not None:
@@ -176,7 +191,7 @@ class Decider:
         seen = self.raw_decoders[message.name](data, key, None, None, packet, None)
         return None if seen is None else _values(seen)
 
-    def _shared(self, message: Message, record: Any) -> dict[str, Any]:
+    def _shared(self, message: Message, record: Record) -> dict[str, Any]:
         """Return what a raw record has in the fields that its message shares with its requests."""
         return {name: getattr(record, name, None) for name in self.context.shared[message.name]}
 
@@ -190,10 +205,10 @@ class Decider:
             messages: Sequence[Message],
             data: bytes,
             key: int,
-            time: Any,
-            channel: Any,
+            time: float | None,
+            channel: str | int | None,
             packet: bytes,
-            rx: Any,
+            rx: bool | None,
         ) -> list[tuple[Message, dict[str, Any]]]:
             """Return those that the bytes may be, with what they share with their requests."""
             fitting = []
@@ -221,7 +236,14 @@ class Decider:
         modes: dict[tuple[int, Any], Modes | None] = {}
         is_plain = all(m.framing is None and m.transport is None for m in bound)
 
-        def by_mode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+        def by_mode(
+            data: bytes,
+            key: int,
+            time: float | None,
+            channel: str | int | None,
+            packet: bytes,
+            rx: bool | None,
+        ) -> Any:
             """Return the record of the message that the mode says, where the bytes fit it: the same, and quicker."""
             try:
                 some = modes[key, channel]
@@ -236,7 +258,14 @@ class Decider:
             more = (request,) if message.request_fields else ()
             return decoders[message.name](data, key, time, channel, packet, rx, *more)
 
-        def decode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+        def decode(
+            data: bytes,
+            key: int,
+            time: float | None,
+            channel: str | int | None,
+            packet: bytes,
+            rx: bool | None,
+        ) -> Any:
             nonlocal likely, noted
             if is_plain and (record := by_mode(data, key, time, channel, packet, rx)) is not None:
                 return record
@@ -263,7 +292,7 @@ class Decider:
         return decode
 
 
-def _values(record: Any) -> dict[str, Any]:
+def _values(record: Record) -> dict[str, Any]:
     """Return the fields of a raw record, for the memory of requests."""
     kind = type(record)
     names = _names.get(kind)
@@ -281,7 +310,9 @@ def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
     last = decider.last_counts
     raw = decider.raw_decoders[message.name]
 
-    def counted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+    def counted(
+        data: bytes, key: int, time: float | None, channel: str | int | None, packet: bytes, rx: bool | None
+    ) -> Any:
         record = decode(data, key, time, channel, packet, rx)
         if record is not None:
             seen = _values(raw(data, key, time, channel, packet, rx))

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator
 from typing import Any, NamedTuple
 
+from ...frames import AnyFrame
 from ..declare.transport import FramePart, Transport
 
 
 class CarriedFrame(NamedTuple):
     """A frame under way: itself, its number in what was fed, its data, its time."""
 
-    frame: Any
+    frame: AnyFrame
     number: int
     data: bytes
     time: float | None
@@ -324,7 +325,7 @@ class Reassembler:
         """True if no packet is under way, and no session is lost."""
         return not self._open
 
-    def missing(self, channel: Any, session: Hashable) -> list[int]:
+    def missing(self, channel: str | int | None, session: Hashable) -> list[int]:
         """Return the places of the frames that a packet under way lacks; of one of unknown size all that may follow."""
         found = self._open.get((channel, session))
         if not isinstance(found, _Open):

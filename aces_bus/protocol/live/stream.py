@@ -255,11 +255,13 @@ class StreamScanner:
         """End the stream. A packet cut off by the end stays pending; packets behind a false one are found."""
         return self.advance(b"", self.time, silent=True, closing=True)
 
-    def advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
+    def advance(
+        self, data: bytes, time: float | None, *, silent: bool, closing: bool = False
+    ) -> list[Record]:
         """Return what `data` completes, or with `silent` the silence behind it; the total is counted by who calls."""
         self.time = time
         buffer = self.buffer + data if self.buffer else data
-        found: list[Any] = []
+        found: list[Record] = []
         losses = self._losses
         base = self.base
         deciders = self.deciders
@@ -314,7 +316,7 @@ class StreamScanner:
         buffer: bytes,
         base: int,
         time: float | None,
-        found: list[Any],
+        found: list[Record],
         lose: Callable[[int, int, str], None],
     ) -> int:
         """Accept what `Finder` proposes, in order; the bytes between are left to the scan function. Gives what is done."""
@@ -377,7 +379,7 @@ class StreamScanner:
 
     # ------------------------------------------------------------------ losses
 
-    def _leave_pending(self, found: list[Any], buffer: bytes, base: int) -> None:
+    def _leave_pending(self, found: list[Record], buffer: bytes, base: int) -> None:
         """Take what follows the last packet, from the first incomplete one on, for pending: the stream has ended."""
         last = 0
         if found:
@@ -393,9 +395,9 @@ class StreamScanner:
                 self._losses.append((offset, len(tail), "pending", tail))
                 return
 
-    def _settle(self, found: list[Any], silent: bool) -> list[Any]:
+    def _settle(self, found: list[Record], silent: bool) -> list[Record]:
         """Return records and losses in the order of the stream; join runs of equal losses."""
-        out: list[Any] = []
+        out: list[Record] = []
         losses = self._losses
         at = 0
         for record in found:
@@ -412,7 +414,7 @@ class StreamScanner:
             self.end_run(out)
         return out
 
-    def add_loss(self, loss: tuple[int, int, str, bytes], out: list[Any]) -> None:
+    def add_loss(self, loss: tuple[int, int, str, bytes], out: list[Record]) -> None:
         """Count a loss (offset, bytes, reason, data) and put it into the run that it goes on with."""
         offset, size, reason, data = loss
         if reason != "pending":
@@ -432,7 +434,7 @@ class StreamScanner:
             self.run = (self.run[0] + RUN, reason, run)
             del run[:RUN]
 
-    def end_run(self, out: list[Any]) -> None:
+    def end_run(self, out: list[Record]) -> None:
         """Report the run of equal losses, if there is one."""
         if self.run is not None:
             if self.run[2]:

@@ -11,6 +11,7 @@ from functools import lru_cache, reduce
 from typing import Any, Literal
 
 import construct as c
+from construct import Construct
 from msgspec.structs import replace
 
 from ...frames import key_of
@@ -255,7 +256,7 @@ def _unit_of(con: c.Construct | None) -> str:
     return ""
 
 
-def _units_inside(con: Any, path: str = "") -> Iterator[tuple[str, str]]:
+def _units_inside(con: Construct, path: str = "") -> Iterator[tuple[str, str]]:
     """Yield path and unit of the numbers inside a value that construct decodes; those of a list have the list's path."""
     inside = (
         [c.Renamed(slot.field, newname=slot.name) for slot in con.slots]

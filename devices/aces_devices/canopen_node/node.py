@@ -15,6 +15,7 @@ from aces_bus.device import UNKNOWN, Device, HostLoss, Job, Steps
 from aces_bus.device.signals import Signal
 from aces_bus.errors import AcesError, CallerError, NoReplyError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 
 from .dictionary import object_of
 from .sdo import SdoChannel
@@ -200,7 +201,7 @@ class CanopenNode(Device):
 
     # ------------------------------------------------------------------ objects by hand
 
-    def raw(self, index: int, subindex: int, value: Any) -> bytes:
+    def raw(self, index: int, subindex: int, value: FieldValue) -> bytes:
         """Return an object's value as bytes, as the node's file says. Raises `CallerError` for what does not fit."""
         known = self.dictionary.get_variable(index, subindex)
         if known is None:
@@ -248,7 +249,7 @@ class CanopenNode(Device):
         """Read what the node says about itself: device type, vendor, product, revision, serial number, name."""
 
         def steps(job: Job) -> Steps:
-            found: dict[str, Any] = {}
+            found: dict[str, FieldValue] = {}
             for number, (name, index, subindex) in enumerate(IDENTITY):
                 try:
                     data: bytes = yield self.sdo.upload(index, subindex)

@@ -22,6 +22,7 @@ from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
 
 from ..mit_motor import MitMotor, Ranges
@@ -294,7 +295,7 @@ class Damiao(MitMotor):
         """Read all registers that it answers: name → value."""
 
         def steps(job: Job) -> Steps:
-            found: dict[str, Any] = {}
+            found: dict[str, FieldValue] = {}
             for index, name in enumerate(REGISTERS):
                 job.progress, job.text = index / len(REGISTERS), name
                 try:

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
+from aces_bus.runtime.clock import Timer
 from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE, Master
 
 from ..joint_model import AMBIENT, JAM, MotorModel, jam, joint_of
@@ -70,7 +71,7 @@ class DamiaoTwin(Twin):
         )
         self.motor = joint_of(self, model)
         self.status = "disabled"
-        self._watch: Any = None
+        self._watch: Timer | None = None
 
     def _new_registers(self) -> dict[int, float]:
         """Return the registers of a motor that was never configured, with the ranges of its model."""

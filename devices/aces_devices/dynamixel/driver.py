@@ -76,7 +76,7 @@ def mode_of(joint: Joint | None, settings: DynamixelSettings) -> str:
 class Dynamixel(ServoDevice):
     """One X-series servo."""
 
-    protocol: ClassVar[Any] = "dynamixel"
+    protocol = "dynamixel"
     settings_type = DynamixelSettings
     settings: DynamixelSettings
     registers = control_table

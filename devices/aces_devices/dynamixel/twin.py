@@ -42,7 +42,7 @@ INSTRUCTION, STATUS_CODE = 7, 0x55
 class DynamixelTwin(ServoTwin):
     """One servo. `table` is its memory; `self["goal_position"]` a register's raw number."""
 
-    protocol: ClassVar[Any] = "dynamixel"
+    protocol = "dynamixel"
     settings_type = DynamixelSettings
     settings: DynamixelSettings
     places = RegisterTable(control_table)

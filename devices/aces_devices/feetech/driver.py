@@ -16,6 +16,7 @@ from aces_bus.device.config import DeviceConfig
 from aces_bus.device.host import Host
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Record, Variant
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE
 from aces_protocols.feetech.models import MODEL_NAMES
 from aces_protocols.feetech.spec import scs_table, sts_table
@@ -40,7 +41,7 @@ def series_of(config: DeviceConfig) -> str:
 class Feetech(ServoDevice):
     """One STS, SMS or SCS servo."""
 
-    protocol: ClassVar[Any] = "feetech"
+    protocol = "feetech"
     when_host_is_lost = HostLoss(
         "goes on",
         "Feetech STS and SCS memory tables: no time-out",
@@ -50,7 +51,7 @@ class Feetech(ServoDevice):
     eeprom = range(40)
     together_overhead = 8
     together_read = "SyncRead"
-    together_fields: ClassVar[Mapping[str, Any]] = {"id": BROADCAST}
+    together_fields: ClassVar[Mapping[str, FieldValue]] = {"id": BROADCAST}
     streamed = frozenset(("goal_position",))
     remembers = frozenset(("torque_enable", "acceleration", "torque_limit"))
     shutdown_register = "unload_condition"

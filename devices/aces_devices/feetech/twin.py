@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import on
 from aces_bus.device.single_motor import JointScale
@@ -41,7 +41,7 @@ VELOCITY = 1
 class FeetechTwin(ServoTwin):
     """One servo. `table` is its memory; `self["goal_position"]` a register's raw number."""
 
-    protocol: ClassVar[Any] = "feetech"
+    protocol = "feetech"
     ram_start = RAM
     level_offset = 1
     faults: ClassVar[Mapping[str, str]] = {

@@ -8,11 +8,11 @@
 from __future__ import annotations
 
 from math import pi
-from typing import Any
 
 from aces_bus.device import Driver, Job, Poll
 from aces_bus.device.settings import described
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 
 from ..hubo_sensors.board import SensorBoard, SensorSettings, scan_of
 from .twin import ForceTorqueTwin
@@ -80,7 +80,7 @@ class ForceTorqueBoard(SensorBoard):
 
     def null(self) -> Job:
         """Take the present force, torque and, of a D12 foot, tilt for zero."""
-        requests: list[tuple[str, dict[str, Any]]] = [("NullSensor", {"what": "force_torque"})]
+        requests: list[tuple[str, dict[str, FieldValue]]] = [("NullSensor", {"what": "force_torque"})]
         if self.config.kind == "foot" and not self.is_old:
             requests.append(("NullSensor", {"what": "tilt"}))
         return self.nulled(*requests)

@@ -13,6 +13,7 @@ from aces_bus.compiling import mypyc_attr
 from aces_bus.device.config import Joint
 from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError
+from aces_bus.protocol.record import FieldValue
 
 #: Home flags that say that a joint is homed: 6, and 2 of a wrist roll (hubo-ach).
 HOMED = ("homed", "wrist_roll_homed")
@@ -96,7 +97,7 @@ class MotorAxis:
         self.count = self.reference = self.goal = None
         self.was_homed = False
 
-    def show(self, name: str, value: Any, instant: int) -> None:
+    def show(self, name: str, value: FieldValue, instant: int) -> None:
         """Update the signal `name`, if the axis has it."""
         found = self.signals.get(name)
         if found is not None:
@@ -115,7 +116,7 @@ def search_state(motor: Any) -> str:
     return "done" if motor.origin == "ok" and motor.limit_switch == "ok" else "searching"
 
 
-def unsigned(duties: Any, directions: tuple[str, str]) -> dict[str, Any]:
+def unsigned(duties: Any, directions: tuple[str, str]) -> dict[str, FieldValue]:
     """Return duties as magnitudes with a direction each."""
     return {
         "direction": [directions[value < 0] for value in duties],
@@ -180,14 +181,14 @@ def home_power(board: str, axes: Sequence[MotorAxis]) -> int:
     return power
 
 
-def home_fields(board: str, axis: MotorAxis, channels: int) -> dict[str, Any]:
+def home_fields(board: str, axis: MotorAxis, channels: int) -> dict[str, FieldValue]:
     """Return the home command of a channel of D08, from the robot's file; `channels` is how many the board has.
 
     A board of three channels has 16 bits for the pulses: higher bits and the sign do not fit and are left out, and the
     other motors get 5 turns, as acesHubo sent both.
     """
     pulses, direction = home_of(board, axis)
-    fields: dict[str, Any] = {"direction": direction, "motor": f"motor_{axis.channel + 1}"}
+    fields: dict[str, FieldValue] = {"direction": direction, "motor": f"motor_{axis.channel + 1}"}
     if channels == 3:
         return {**fields, "pulses": abs(pulses) & 0xFFFF, "revolutions": [5.0, 5.0]}
     offset = [0, 0]

@@ -21,6 +21,7 @@ from aces_bus.device.host import Host
 from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.hubo.d15 import NUMBERS, POWER
 
 from ..joint_model import AMBIENT, MotorJoint, MotorModel
@@ -100,7 +101,7 @@ class HuboMotorD15(MotorDevice[MotorAxis]):
             Poll("SendTemperatureD15", reply="TemperatureD15", every_s=TEMPERATURE_S),
         )
 
-    def want(self, message: str, path: str, value: Any) -> None:
+    def want(self, message: str, path: str, value: FieldValue) -> None:
         """Queue a set-point; drop and report it while the board is not enabled."""
         if self.is_enabled:
             super().want(message, path, value)

@@ -22,6 +22,7 @@ from aces_bus.device.host import Host
 from aces_bus.device.settings import settings_of
 from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.protocol.record import FieldValue
 
 #: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).
 HAND_TAIL = bytes.fromhex("0038721200")
@@ -170,7 +171,7 @@ class SensorBoard(Device):
         """Take the present readings for zero."""
         return self.nulled(("NullSensor", {"what": "force_torque"}))
 
-    def nulled(self, *requests: tuple[str, dict[str, Any]]) -> Job:
+    def nulled(self, *requests: tuple[str, dict[str, FieldValue]]) -> Job:
         """Send null commands: in D08 three times each, as its programs do, in D12 once."""
 
         def steps(job: Job) -> Steps:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from aces_bus.device import Device, Driver, HostLoss, Ticket
 from aces_bus.device.config import Joint
 from aces_bus.errors import CallerError
+from aces_bus.protocol.record import FieldValue
 
 from .twin import MotorTwin
 
@@ -50,7 +51,7 @@ class HuboviaJoint(Device):
         if len(self.joints) > 1:
             names = ", ".join(joint.name for joint in self.joints)
             raise CallerError(f"{self.name}: one motor moves one joint, not {names}")
-        self.last: dict[str, Any] | None = None
+        self.last: dict[str, FieldValue] | None = None
         for joint in self.joints:
             motor = self.credentials["motor"]
             if joint.motor not in (None, motor):

@@ -13,6 +13,8 @@ import math
 from typing import Any, ClassVar
 
 from aces_bus.device import Driver, HostLoss, Job, Poll, SingleMotor, Steps, Ticket
+from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.lx16a.spec import LONGEST_MS, SERVOS
 
 from ..scanning import scan_numbers
@@ -75,12 +77,12 @@ class Lx16a(SingleMotor):
             Poll("GetTemperature", "Temperature", every_s=HEALTH_S, timeout_s=ANSWER_S),
         ]
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take from an answer whether the motor is driven."""
         if type(record).__name__ == "Torque":
             self.shows(record.torque == "on")
 
-    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+    def completed(self, message: str, fields: dict[str, FieldValue]) -> dict[str, FieldValue]:
         """Add how long a move takes, and the mode that a share of full drive is for."""
         if message == "Move":
             rate = self.host.rate_hz

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -39,7 +39,7 @@ class MinihuboADC(Device):
     A sensor's `channel` counts from 0, as everywhere in a robot's file.
     """
 
-    protocol: ClassVar[Any] = "minihubo_adc"
+    protocol = "minihubo_adc"
     when_host_is_lost = HostLoss("nothing moves", "a converter of analog inputs")
 
     def setup(self) -> None:

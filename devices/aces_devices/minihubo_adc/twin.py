@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin
 from aces_bus.device.settings import settings_of
@@ -25,7 +25,7 @@ SWING, SWING_HZ = 5.0, 0.5
 class MinihuboADCTwin(Twin):
     """The board. `source` gives the counts of all channels at an instant (ns), in place of `resting`."""
 
-    protocol: ClassVar[Any] = "minihubo_adc"
+    protocol = "minihubo_adc"
     faults: ClassVar[Mapping[str, str]] = {
         "saturated": "all channels at the top of their range",
         "low_ff": "each sample's channel 3 ends in FF, so that FF FF FF comes before the next one",

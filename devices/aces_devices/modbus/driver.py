@@ -20,6 +20,7 @@ from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 
 from ..scanning import scan_numbers
 from .table import READERS, ModbusRegister, bits_from, registers_of, stretches
@@ -91,7 +92,7 @@ class ModbusDevice(Device):
         self.spans: dict[str, tuple[str, int, int]] = {}
         self._span_polls: dict[tuple[str, int, int], Poll] = {}
         #: Set-points that wait, and what writes them.
-        self._wanted: dict[str, Any] = {}
+        self._wanted: dict[str, FieldValue] = {}
         self._writing: dict[str, Job] = {}
         #: Until when an answer may come late (ns).
         self._quiet_until = 0
@@ -266,7 +267,7 @@ class ModbusDevice(Device):
 
     def _order(
         self, register: ModbusRegister, raw: tuple[int, ...]
-    ) -> tuple[str, tuple[str, ...], dict[str, Any]]:
+    ) -> tuple[str, tuple[str, ...], dict[str, FieldValue]]:
         start = register.entry.address
         if register.is_bit:
             return "WriteBit", WRITTEN, {"start": start, "value": "on" if raw[0] else "off"}
@@ -278,7 +279,7 @@ class ModbusDevice(Device):
         if type(answer).__name__ == "Refusal":
             raise DeviceError(f"{self.name}: {doing}: refused: {answer.reason}")
 
-    def _set(self, name: str, value: Any) -> None:
+    def _set(self, name: str, value: FieldValue) -> None:
         """Write a set-point now, or when the present write is over; of several waiting set-points only the
         last is written.
         """
@@ -307,7 +308,7 @@ class ModbusDevice(Device):
         self.end_led()  # what has to be written again after a lost answer, too
         if not self.settings.stop:
             return None
-        tickets: list[tuple[str, Ticket, dict[str, Any]]] = []
+        tickets: list[tuple[str, Ticket, dict[str, FieldValue]]] = []
         for name, value in self.settings.stop.items():
             register = self.table[name]
             message, reply, fields = self._order(register, register.raw(value))

@@ -20,6 +20,7 @@ from aces_bus.device import Twin, on
 from aces_bus.device.single_motor import JointScale
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.moteus.registers import BY_NAME, FAULTS, MODES, TYPES
 from aces_protocols.moteus.subframes import bytes_of, register_values, varuint
 
@@ -267,9 +268,9 @@ class MoteusTwin(Twin):
             ):
                 self.console.take(subframe.data.data)
 
-    def _answers(self, form: str, names: Iterable[str]) -> Iterable[dict[str, Any]]:
+    def _answers(self, form: str, names: Iterable[str]) -> Iterable[dict[str, FieldValue]]:
         """Yield the values of a read, in runs between registers that do not exist."""
-        run: dict[str, Any] = {}
+        run: dict[str, FieldValue] = {}
         for name in names:
             value = self.value_of(name)
             if value is not None:

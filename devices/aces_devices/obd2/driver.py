@@ -18,6 +18,7 @@ from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.diagnostics import VALUES
 
 from ..scanning import scan_numbers
@@ -38,7 +39,7 @@ TIMEOUT_S = 0.1
 EVERY_S = 0.25
 
 
-def to_si(name: str, value: Any) -> Any:
+def to_si(name: str, value: FieldValue) -> Any:
     """Return a value by its name, in SI."""
     _, scale, offset = SI.get(getattr(VALUES[name][1], "unit", ""), ("", 1.0, 0.0))
     return value * scale + offset if isinstance(value, (int, float)) else value

@@ -6,10 +6,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 
@@ -37,7 +38,7 @@ class Obd2Twin(Twin):
     def send_values(self, request: Record) -> None:
         """Send those of up to six values that the ECU has; send nothing if it has none of them."""
         self.kept()
-        values: list[dict[str, Any]] = []
+        values: list[dict[str, FieldValue]] = []
         for pid in request.pids if len(request.pids) <= AT_ONCE else ():
             kind = BY_PID.get(pid, "")
             data = self.ecu.mask(pid) if kind.startswith("supported") else self.ecu.value(kind)

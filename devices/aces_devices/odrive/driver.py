@@ -15,7 +15,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from math import tau
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
@@ -25,6 +25,7 @@ from aces_bus.device.settings import described, settings_of
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 
 from ..scanning import scan_numbers
 from .twin import OdriveTwin
@@ -291,7 +292,7 @@ class Odrive(SingleMotor):
             )
         return self.scale.raw_angle(here)
 
-    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+    def completed(self, message: str, fields: dict[str, FieldValue]) -> dict[str, FieldValue]:
         """Complete a command: nothing is fed forward."""
         return {**_FORWARD.get(message, {}), **fields}
 
@@ -318,7 +319,7 @@ class Odrive(SingleMotor):
         """Ask for the error registers: name → value, in firmware 0.6 names of bits."""
 
         def steps(job: Job) -> Steps:
-            found: dict[str, Any] = {}
+            found: dict[str, FieldValue] = {}
             for name in _ERRORS[str(self.variant.dialect)]:
                 record = yield self.ask(f"Get{name}", reply=name)
                 if self.is_new:

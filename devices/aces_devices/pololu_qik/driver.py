@@ -27,6 +27,7 @@ from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 
 from .twin import UNIT_S, QikTwin
 
@@ -284,7 +285,7 @@ class Qik(Device):
 
         return self.job("ask whether it has understood", steps)
 
-    def want(self, message: str, path: str, value: Any) -> None:
+    def want(self, message: str, path: str, value: FieldValue) -> None:
         """Do what `Device.want` does; it ends what is left of a stop."""
         self._given_count += 1
         super().want(message, path, value)

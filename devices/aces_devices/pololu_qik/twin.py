@@ -7,10 +7,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.protocol import Record
+from aces_bus.runtime.clock import Timer
 from aces_devices.wheel_model import TurningWheel
 
 #: A unit of the serial time-out (s), and how the parameter holds it (Pololu 0J25 5.c).
@@ -82,7 +83,7 @@ class QikTwin(Twin):
                 self.world.joints[joint.name] = _Joint(self.wheels[joint.channel], joint.direction)
         self.errors = 0
         self.received_at = now
-        self._watch: Any = None
+        self._watch: Timer | None = None
         for wheel in self.wheels:
             wheel.free(now)
 

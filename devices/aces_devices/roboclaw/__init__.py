@@ -26,6 +26,7 @@ from aces_bus.device.signals import Signal
 from aces_bus.device.single_motor import JointScale
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.roboclaw.spec import ADDRESSES, FULL_DUTY
 
 from ..scanning import scan_numbers
@@ -201,7 +202,7 @@ class Roboclaw(Device):
             source="commands 79, 35",
         )
 
-    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+    def completed(self, message: str, fields: dict[str, FieldValue]) -> dict[str, FieldValue]:
         """Add speed and acceleration on the way to a position, which replaces the one before."""
         if not message.startswith("RampTo"):
             return fields

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from aces_bus.device import HostLoss
 from aces_bus.errors import CallerError
@@ -37,7 +37,7 @@ def signed(raw: int) -> int:
 class RobotisRX(ServoDevice):
     """One RX servo."""
 
-    protocol: ClassVar[Any] = "robotis"
+    protocol = "robotis"
     when_host_is_lost = HostLoss(
         "goes on",
         "RX-28 manual, control table: no time-out",

@@ -6,7 +6,7 @@ Source: Robotis RX-28 manual; where it is silent, see the README's choices.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import on
 from aces_bus.device.single_motor import JointScale
@@ -33,7 +33,7 @@ PING_CODE, READ_CODE = 1, 2
 class RobotisRXTwin(ServoTwin):
     """One servo. `table` is its memory; `self["goal_position"]` a register's raw number."""
 
-    protocol: ClassVar[Any] = "robotis"
+    protocol = "robotis"
     places = RegisterTable(control_table)
     ram_start = EEPROM
     faults: ClassVar[Mapping[str, str]] = {

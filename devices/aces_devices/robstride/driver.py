@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
@@ -23,6 +23,7 @@ from aces_bus.device.settings import described, settings_of
 from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.robstride.spec import (
     DIALECTS,
     FAMILY,
@@ -255,7 +256,7 @@ class Robstride(MitMotor):
         if self.mode in ("position", "speed") and joint is not None and joint.max_current is not None:
             yield from self._written("limit_cur", joint.max_current)
 
-    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+    def completed(self, message: str, fields: dict[str, FieldValue]) -> dict[str, FieldValue]:
         """Add the asking host, and the parameter of the mode's set-point."""
         if message == "WriteFloat":
             return {**fields, "host": self.settings.host, "index": TARGETS[self.mode]}

@@ -10,11 +10,12 @@
 from __future__ import annotations
 
 from random import Random
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
+from aces_bus.runtime.clock import Timer
 from aces_protocols.robstride.spec import BYTES, DIALECTS, FAMILY, KINDS, MODELS, READ_ONLY
 
 from ..joint_model import AMBIENT, JAM, MotorModel, jam, joint_of
@@ -52,7 +53,7 @@ class RobstrideTwin(Twin):
         self.state, self.host, self.offset = "reset", 0xFD, 0.0
         self.failed: frozenset[str] = frozenset()
         self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
-        self._watch: Any = None
+        self._watch: Timer | None = None
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """See `Twin.fault`."""

@@ -22,6 +22,7 @@ from msgspec import Meta
 from aces_bus.device import Device, Driver, HostLoss, Job, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import NoReplyError
+from aces_bus.protocol import Record
 
 from .twin import RplidarTwin
 
@@ -140,7 +141,7 @@ class Rplidar(Device):
         else:
             yield self.ask("Scan", reply="ScanStarted", timeout_s=ANSWER_S)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Gather the points of a round; take the health."""
         name = type(record).__name__
         if name == "Health" and record.status in HEALTH:

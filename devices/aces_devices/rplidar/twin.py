@@ -8,9 +8,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.rplidar.spec import EXPRESS
 
 #: Rounds a second; measurements a second; measurements in a burst.
@@ -94,7 +96,7 @@ class RplidarTwin(Twin):
         self.send_raw(packets)
 
     def _packet(self, quarters: int) -> bytes:
-        fields: dict[str, Any] = {
+        fields: dict[str, FieldValue] = {
             "turn": "begins" if self._is_first else "goes_on",
             "quality": QUALITY if quarters else 0,
             "angle": round(math.degrees(self.angle) * 64) % (360 * 64) / 64,
@@ -104,7 +106,7 @@ class RplidarTwin(Twin):
         return bytes(self.twins.packet(self, "Measurement", fields))
 
     @on("Scan", "ForceScan")
-    def begins(self, request: Any) -> None:
+    def begins(self, request: Record) -> None:
         """Measure, unless it protects itself."""
         if "protection" in self.active_faults:
             return
@@ -112,7 +114,7 @@ class RplidarTwin(Twin):
         self.is_scanning, self.is_express, self._is_first = True, False, True
 
     @on("ExpressScan")
-    def begins_express(self, request: Any) -> None:
+    def begins_express(self, request: Record) -> None:
         """Measure in packets, unless it protects itself; the dialect `standard` has no such packets."""
         if "protection" in self.active_faults or "ExpressMeasurements" not in self.variant.messages:
             return
@@ -120,30 +122,30 @@ class RplidarTwin(Twin):
         self.is_scanning, self.is_express, self._is_first = True, True, True
 
     @on("Stop", "Reset")
-    def ends(self, request: Any) -> None:
+    def ends(self, request: Record) -> None:
         """End the scan."""
         self.is_scanning = False
 
     @on("SetMotor")
-    def turns(self, request: Any) -> None:
+    def turns(self, request: Record) -> None:
         """Turn the motor, or stop it."""
         self.duty = request.duty
 
     @on("GetInfo")
-    def tells(self, request: Any) -> None:
+    def tells(self, request: Record) -> None:
         """Answer with the identity of an A1; the scan ends."""
         self.is_scanning = False
         self.reply("Info", model=24, firmware_minor=29, firmware_major=1, hardware=7, serial=SERIAL)
 
     @on("GetHealth")
-    def is_well(self, request: Any) -> None:
+    def is_well(self, request: Record) -> None:
         """Answer with the health; the scan ends."""
         self.is_scanning = False
         broken = "protection" in self.active_faults
         self.reply("Health", status="error" if broken else "good", error=0x8001 if broken else 0)
 
     @on("GetSampleRate")
-    def rates(self, request: Any) -> None:
+    def rates(self, request: Record) -> None:
         """Answer with the times of measurements; the scan ends."""
         self.is_scanning = False
         self.reply("SampleRate", standard=SAMPLE_US, express=EXPRESS_US)

@@ -25,6 +25,7 @@ from aces_bus.device.signals import Signal
 from aces_bus.device.station import credential_text
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 
 from .registers import RegisterDevice
 
@@ -111,7 +112,7 @@ class ServoDevice(RegisterDevice):
     #: Errors that say what is wrong with the request, not with the servo.
     of_request: ClassVar[frozenset[str]] = frozenset()
     #: The message of a factory reset, and its fields.
-    reset: ClassVar[tuple[str, Mapping[str, Any]]] = ("Reset", {})
+    reset: ClassVar[tuple[str, Mapping[str, FieldValue]]] = ("Reset", {})
     #: rad a count, and rad/s a count of speed, of the servo's own shaft.
     count_rad: float
     speed_count_rad_s: float
@@ -484,7 +485,7 @@ class ServoDevice(RegisterDevice):
 
         return self.job("ping", steps)
 
-    def hold_back(self, name: str, value: Any) -> Job:
+    def hold_back(self, name: str, value: FieldValue) -> Job:
         """Write a register when `act` is called: RegWrite. Raises as `write`."""
         self.check_write(name)
         codec = self.codec(name)
@@ -495,7 +496,7 @@ class ServoDevice(RegisterDevice):
         """Carry out what was held back; `everybody`: in all servos at once, unanswered."""
         return self.send("Action", id=BROADCAST) if everybody else self.obeyed("Action", "acting")
 
-    def obeyed(self, message: str, doing: str, **fields: Any) -> Job:
+    def obeyed(self, message: str, doing: str, **fields: FieldValue) -> Job:
         """Send an instruction; the job is over when it was acknowledged, where the servo does that."""
 
         def steps(job: Job) -> Steps:
@@ -566,7 +567,7 @@ class ServoDevice(RegisterDevice):
         message, fields = self.reset
         return self._sent_and_forgotten("factory reset", message, **fields)
 
-    def _sent_and_forgotten(self, name: str, message: str, **fields: Any) -> Job:
+    def _sent_and_forgotten(self, name: str, message: str, **fields: FieldValue) -> Job:
         def steps(job: Job) -> Steps:
             yield from self._try(message, **fields)
             self.forget()

@@ -27,6 +27,7 @@ from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
 from aces_bus.protocol.declare.registers import RegisterMap
+from aces_bus.protocol.record import FieldValue
 
 #: How often a set-point that did not arrive is sent again.
 AGAIN = 3
@@ -59,7 +60,7 @@ class RegisterCodec:
             found = self._values[raw] = self.register.decode(self.pack(raw))
         return found
 
-    def raw(self, value: Any, *, is_raw: bool = False) -> int:
+    def raw(self, value: FieldValue, *, is_raw: bool = False) -> int:
         """Return the raw number of a value; raises `FieldError` when it does not fit."""
         (number,) = self.unpack_from(self.register.encode(value, raw=is_raw), 0)
         return number
@@ -103,7 +104,7 @@ class RegisterDevice(Device):
     together_overhead: ClassVar[int] = 0
     #: The message that asks several devices for one stretch (`start`, `count`, `ids`), and its other fields.
     together_read: str = ""
-    together_fields: ClassVar[Mapping[str, Any]] = {}
+    together_fields: ClassVar[Mapping[str, FieldValue]] = {}
     timeout_s: float = 0.02
     retries: int = 2
     acknowledges: bool = True
@@ -194,7 +195,7 @@ class RegisterDevice(Device):
                 lambda value: target.raw(value / scale if isinstance(value, (int, float)) else value)
             )
 
-            def give(value: Any) -> None:
+            def give(value: FieldValue) -> None:
                 self.want(self._sync_message, target.name, convert(value))
 
             setter = give
@@ -237,7 +238,7 @@ class RegisterDevice(Device):
             record = yield self._ask(self._read_message, span, **fields)
             self._raise_refusal(record, f"reading {name}")
             data = getattr(record, self.payload)
-            found: dict[str, Any] = {}
+            found: dict[str, FieldValue] = {}
             for at, codec in span.codecs:
                 (number,) = codec.unpack_from(data, at)
                 found[codec.name] = number if raw else codec.value(number)
@@ -478,7 +479,7 @@ class RegisterDevice(Device):
             **fields,
         )
 
-    def _unanswered(self, message: str, **fields: Any) -> Steps:
+    def _unanswered(self, message: str, **fields: FieldValue) -> Steps:
         """Yield steps that send a message without an answer, and wait until it has left."""
         ticket = self.send(message, **fields)
         yield ticket

@@ -19,6 +19,7 @@ from aces_bus.device.settings import described, settings_of
 from aces_bus.device.signals import Signal
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.uds.spec import SESSIONS
 
 from ..scanning import scan_numbers
@@ -392,7 +393,7 @@ class Uds(Device):
 
         return self.lead(f"write {name}", steps)
 
-    def _set(self, name: str, value: Any) -> None:
+    def _set(self, name: str, value: FieldValue) -> None:
         """Write a set-point now."""
         if self.host.passive or not self.takes(self[name]):
             why = "this bus is only listened to" if self.host.passive else f"{self.name} is not enabled"

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from aces_bus.device import Twin, on
 from aces_bus.errors import UnknownNameError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 from aces_protocols.uds.spec import IDENTIFIERS, RESETS, SERVICE_OF, SESSIONS, uds
@@ -165,7 +166,7 @@ class UdsTwin(Twin):
             return
         self.reply(answer, delay_ns=patience + self.reply_delay_ns, **fields)
 
-    def _carry_out(self, name: str, service: Any, request: Record) -> tuple[str, dict[str, Any]]:
+    def _carry_out(self, name: str, service: Any, request: Record) -> tuple[str, dict[str, FieldValue]]:
         """Return the answer's message and fields; raises `UdsRefusal`."""
         if service not in SERVICE_OF.values():
             raise UdsRefusal("service_not_supported")
@@ -215,13 +216,13 @@ class UdsTwin(Twin):
         if self.session != "default" and self.is_powered:
             self._end = self.clock.call_in(SESSION_NS, lambda: self._begin_session("default"))
 
-    def _change_session(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _change_session(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         if request.session not in SESSIONS:
             raise UdsRefusal("subfunction_not_supported")
         self._begin_session(str(request.session))
         return "Session", {"session": self.session, "answers_within": P2_S, "patience": P2_STAR_S}
 
-    def _reset(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _reset(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         if request.kind not in RESETS or "rapid" in str(request.kind):
             raise UdsRefusal("subfunction_not_supported")
 
@@ -238,7 +239,7 @@ class UdsTwin(Twin):
         if self.level and self.unlocked != self.level:
             raise UdsRefusal("security_denied")
 
-    def _access(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _access(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         """Return a seed for an odd step, and its key with the next one."""
         level = request.step - (1 - request.step % 2)
         if not self.level or level != self.level:
@@ -278,14 +279,14 @@ class UdsTwin(Twin):
         """
         kind = BY_NUMBER.get(number, "")
         if kind == "session":
-            value: Any = self.session
+            value: FieldValue = self.session
         elif kind == "vin":
             value = self.ecu.vin
         else:
             value = self.ecu.mask(KINDS[kind][0]) if kind.startswith("supported") else self.ecu.value(kind)
         return None if value is None or value == [] else bytes(IDENTIFIERS[kind][1].build(value))
 
-    def _read(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _read(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         found = [(number, self._data(number)) for number in request.identifiers]
         data = b"".join(
             number.to_bytes(2, "big") + content for number, content in found if content is not None
@@ -296,7 +297,7 @@ class UdsTwin(Twin):
             raise UdsRefusal("out_of_range")
         return "Data", {"values": [{"kind": None, "data": data}]}
 
-    def _write(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _write(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         entry = self.by_number.get(request.identifier)
         if entry is None or entry.entry.access == "read":
             raise UdsRefusal("out_of_range")
@@ -314,7 +315,7 @@ class UdsTwin(Twin):
 
     # ------------------------------------------------------------------ routines and downloads
 
-    def _control(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _control(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         number, action = request.routine, request.action
         if action not in ("start", "stop", "results"):
             raise UdsRefusal("subfunction_not_supported")
@@ -330,7 +331,7 @@ class UdsTwin(Twin):
             self.started.discard(number)
         return "Routine", {"action": action, "routine": number, "data": data}
 
-    def _begin_download(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _begin_download(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         if self.session != "programming":
             raise UdsRefusal("service_not_in_this_session")
         self._need_level()
@@ -341,7 +342,7 @@ class UdsTwin(Twin):
         self._is_loading, self._place, self._missing, self._number = True, request.address, request.size, 0
         return "DownloadBegins", {"width": 0x20, "longest": LONGEST}
 
-    def _load(self, request: Record) -> tuple[str, dict[str, Any]]:
+    def _load(self, request: Record) -> tuple[str, dict[str, FieldValue]]:
         if not self._is_loading:
             raise UdsRefusal("sequence_error")
         answer = "DataTransferred", {"number": request.number, "data": b""}
@@ -356,7 +357,7 @@ class UdsTwin(Twin):
         self._place, self._missing, self._number = self._place + size, self._missing - size, self._number + 1
         return answer
 
-    def _end_download(self) -> tuple[str, dict[str, Any]]:
+    def _end_download(self) -> tuple[str, dict[str, FieldValue]]:
         if not self._is_loading or self._missing:
             raise UdsRefusal("sequence_error")
         self._is_loading = False
@@ -364,7 +365,7 @@ class UdsTwin(Twin):
 
     # ------------------------------------------------------------------ trouble codes
 
-    def _send_codes(self, name: str, request: Record) -> tuple[str, dict[str, Any]]:
+    def _send_codes(self, name: str, request: Record) -> tuple[str, dict[str, FieldValue]]:
         """Send codes with their status; their failure type is 00, which says nothing more."""
         codes = self.ecu.codes
         every = {"available": 0xFF}
@@ -398,5 +399,5 @@ class UdsTwin(Twin):
         super().stop()
 
 
-def _code(name: str, status: set[str]) -> dict[str, Any]:
+def _code(name: str, status: set[str]) -> dict[str, FieldValue]:
     return {"code": f"{name}-00", "status": sorted(status)}

@@ -13,6 +13,7 @@ from typing import Any
 from aces_bus.device import Twin
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_bus.runtime.clock import Timer
 from aces_devices.joint_model import AMBIENT, MotorModel, PacedGoal, joint_of
 from aces_protocols.vesc_uart.spec import FAULTS, VALUES
@@ -183,7 +184,7 @@ class VescModel:
             self.lead()
         count = round((turned - self._start) / tau * 6 * self.pole_pairs)
         warm = round(self.warm + (motor.temperature - AMBIENT) / 2, 1)
-        found: dict[str, Any] = dict.fromkeys(VALUES, 0)
+        found: dict[str, FieldValue] = dict.fromkeys(VALUES, 0)
         found |= {
             "fet_temperature": warm,
             "motor_temperature": round(self.warm + motor.temperature - AMBIENT, 1),

@@ -7,6 +7,7 @@ from typing import Any
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Record
+from aces_bus.protocol.record import FieldValue
 from aces_protocols.vesc.buffers import Buffers
 from aces_protocols.vesc_uart.packets import PacketReader, packet_of
 
@@ -58,7 +59,7 @@ class SerialWire:
     #: As of `CanWire`: longer than a disturbance usually is.
     stops = 4
 
-    def request(self, packet: str, fields: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    def request(self, packet: str, fields: Mapping[str, FieldValue]) -> tuple[str, dict[str, FieldValue]]:
         """Return the packet itself."""
         return packet, dict(fields)
 

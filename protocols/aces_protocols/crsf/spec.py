@@ -18,6 +18,7 @@ from typing import Any
 from construct import (
     Byte,
     BytesInteger,
+    Construct,
     Default,
     GreedyBytes,
     GreedyRange,
@@ -71,7 +72,7 @@ _command = packet.family(
 _more = "more" / Default(GreedyBytes, b"")
 
 
-def _frame(name: str, number: int, *fields: Any, doc: str, examples: Any = ()) -> Any:
+def _frame(name: str, number: int, *fields: Construct, doc: str, examples: Any = ()) -> Any:
     """Declare a broadcast frame."""
     return packet(
         name, match={"type": number}, payload=Struct(*fields), doc=doc, source=f"TBS, {number:#04x}", examples=examples

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Byte, Bytes, Const, GreedyBytes, GreedyRange, Int16ul, Struct, this
+from construct import Byte, Bytes, Const, Construct, GreedyBytes, GreedyRange, Int16ul, Struct, this
 
 from aces_bus.protocol import BitLayout, Crc, Enumeration, Insert, Message, Protocol, bits
 
@@ -55,7 +55,7 @@ _Example = tuple[str, dict[str, Any]]
 
 
 def instruction(
-    name: str, code: int, *fields: Any, doc: str, examples: list[_Example], everybody: bool = False
+    name: str, code: int, *fields: Construct, doc: str, examples: list[_Example], everybody: bool = False
 ) -> Message:
     """Declare an instruction; `everybody`: it is addressed to all, and names its servos inside."""
     return packet(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Byte, Const, Int8sl, Int16sl, Int16ul, Struct, this
+from construct import Byte, Const, Construct, Int8sl, Int16sl, Int16ul, Struct, this
 
 from aces_bus.protocol import Enumeration, Flags, InvertedSum, Protocol, Quantity
 
@@ -43,7 +43,7 @@ told = packet.family(Struct("command" / Byte), direction="to device")
 answered = packet.family(Struct("command" / Byte), direction="from device")
 
 
-def _writes(name: str, command: int, *fields: Any, doc: str, examples: Any = ()) -> Any:
+def _writes(name: str, command: int, *fields: Construct, doc: str, examples: Any = ()) -> Any:
     return told(
         name,
         command=command,
@@ -54,7 +54,7 @@ def _writes(name: str, command: int, *fields: Any, doc: str, examples: Any = ())
     )
 
 
-def _reads(name: str, command: int, *fields: Any, doc: str, examples: Any = ()) -> None:
+def _reads(name: str, command: int, *fields: Construct, doc: str, examples: Any = ()) -> None:
     """Declare the question `GetName`, and its answer `Name`."""
     asked = _writes(f"Get{name}", command, doc=f"Ask for {doc}.")
     answered(

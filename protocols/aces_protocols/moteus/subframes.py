@@ -15,7 +15,7 @@ import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 import construct as c
 
@@ -115,7 +115,7 @@ class Subframes(ItemList):
 
     # ------------------------------------------------------------------ reading
 
-    def _parse(self, stream: Any, context: Any, path: str) -> c.ListContainer:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> c.ListContainer:
         raw = bool(context._params.get("raw", False))
         data: bytes = c.stream_read_entire(stream, path)
         found, at = c.ListContainer(), 0
@@ -135,7 +135,7 @@ class Subframes(ItemList):
 
     # ------------------------------------------------------------------ building
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: c.Container, path: str) -> Any:
         data = bytes_of(obj, path, raw=bool(context._params.get("raw", False)))
         size = next((n for n in FD_LENGTHS if n >= len(data)), None)
         if size is None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Bytes, Struct
+from construct import Bytes, Construct, Struct
 
 from aces_bus.protocol import (
     AsciiDegrees,
@@ -44,7 +44,7 @@ sentence = nmea0183.framing(
 ).family(prefix=Struct("talker" / Text(2), "type" / Bytes(3)), direction="from device")
 
 
-def _declare(line: bytes, doc: str, *fields: Any, optional: int = 0, **values: Any) -> None:
+def _declare(line: bytes, doc: str, *fields: Construct, optional: int = 0, **values: Any) -> None:
     """Declare a sentence, named as its type is in the example `line`, which means `values`."""
     name = line[3:6]
     sentence(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from construct import Byte, Bytes, GreedyBytes, GreedyRange, Struct, this
+from construct import Byte, Bytes, Construct, GreedyBytes, GreedyRange, Struct, this
 
 from aces_bus.protocol import Flags, InvertedSum, Message, Protocol
 
@@ -46,7 +46,7 @@ def declare_packets(
     instruction = packet.family(Struct("instruction" / Byte), direction="to device")
 
     def declare(
-        name: str, code: int, official: str, *fields: Any, doc: str, ids: int | range | None = None
+        name: str, code: int, official: str, *fields: Construct, doc: str, ids: int | range | None = None
     ) -> Message:
         made: Message = instruction(
             name,

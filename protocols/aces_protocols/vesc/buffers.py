@@ -11,6 +11,8 @@ from binascii import crc_hqx
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from aces_bus.protocol import Record
+
 #: The longest packet that one frame holds, the sizes of pieces, the first offset that is written in two bytes.
 SHORT, NEAR, FAR, FAR_FROM = 6, 7, 6, 259
 #: How many packets may be on their way to one receiver.
@@ -56,7 +58,7 @@ class Buffers:
         self.receiver = receiver
         self._parts: list[bytearray] = []
 
-    def take(self, record: Any) -> bytes | None:
+    def take(self, record: Record) -> bytes | None:
         """Return the packet that a record ends, if it ends one."""
         match type(record).__name__:
             case "ShortRequest" | "ShortAnswer":

@@ -24,6 +24,7 @@ from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.device import Driver, Robot, load_driver
 from aces_bus.device.host import Host
 from aces_bus.device.poll import PollSlot
+from aces_bus.device.port import Packet
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.hardware import SimulatedBus
 from aces_bus.hardware.ports import port_of
@@ -142,7 +143,7 @@ def robot_traffic(
     return _Watch(robot, rate_hz or robot.rate_hz or USUAL_RATE_HZ, load).traffic()
 
 
-def _key(packet: Any) -> Any:
+def _key(packet: Packet) -> Any:
     """Return what makes two packets the same."""
     if isinstance(packet, tuple):
         return tuple(map(_key, packet))
@@ -174,13 +175,13 @@ class _Log:
         self.packets: list[_SentPacket] = []
         self._under_way: dict[Any, deque[_SentPacket]] = {}
 
-    def sent(self, instant: int, packet: Any, from_host: bool) -> None:
+    def sent(self, instant: int, packet: Packet, from_host: bool) -> None:
         found = _SentPacket(instant, packet, from_host)
         self.packets.append(found)
         if from_host:
             self._under_way.setdefault(_key(packet), deque()).append(found)
 
-    def arrived(self, instant: int, packet: Any) -> None:
+    def arrived(self, instant: int, packet: Packet) -> None:
         waiting = self._under_way.get(_key(packet))
         if waiting:
             waiting.popleft().arrived = instant
@@ -195,19 +196,19 @@ class _Tap:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._port, name)
 
-    def open(self, received: Callable[[Any, int], Any]) -> None:
+    def open(self, received: Callable[[Frame | bytes, int], object]) -> None:
         if self._from_host:
             self._port.open(received)
             return
         arrived, clock = self._log.arrived, self._port.clock
 
-        def take(packet: Any, instant: int) -> None:
+        def take(packet: Frame | bytes, instant: int) -> None:
             arrived(clock.now(), packet)
             received(packet, instant)
 
         self._port.open(take)
 
-    def send(self, packet: Any, *rest: Any, **options: Any) -> bool:
+    def send(self, packet: Packet, *rest: Any, **options: Any) -> bool:
         taken: bool = self._port.send(packet, *rest, **options)
         if isinstance(packet, Frame) and self._port.switches(packet):
             packet = structs.replace(packet, bitrate_switch=True)
@@ -479,7 +480,7 @@ def _numbered(sent: SentMessage, number: int) -> list[SentMessage]:
     return [sent, *(replace(sent, name=f"{sent.name} #{n}") for n in range(2, number + 1))]
 
 
-def _parts(packet: Any) -> tuple[Any, ...]:
+def _parts(packet: Packet) -> tuple[Any, ...]:
     return packet if isinstance(packet, tuple) else (packet,)
 
 

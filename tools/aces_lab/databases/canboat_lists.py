@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, BinaryIO
 
 import construct as c
 
@@ -38,7 +38,7 @@ class KeyedItems(ItemList):
         self.kinds = kinds
         self.names = {key: name for name, (key, _, _) in kinds.items()}
 
-    def _parse(self, stream: Any, context: Any, path: str) -> c.ListContainer:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> c.ListContainer:
         data: bytes = c.stream_read_entire(stream, path)
         items, at = c.ListContainer(), 0
         while at < len(data):
@@ -53,7 +53,7 @@ class KeyedItems(ItemList):
             at = start + size
         return items
 
-    def _item(self, key: int, inside: bytes, context: Any, path: str) -> c.Container:
+    def _item(self, key: int, inside: bytes, context: c.Container, path: str) -> c.Container:
         name = self.names.get(key)
         if name is None:
             return c.Container(kind=key, data=inside, reason=UNKNOWN)
@@ -64,7 +64,7 @@ class KeyedItems(ItemList):
         value = construct._parsereport(io.BytesIO(inside), context, f"{path} -> {name}")
         return c.Container(kind=name, data=value, reason=None)
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: c.Container, path: str) -> Any:
         for item in obj:
             kind, value = item["kind"], item["data"]
             if kind is None:
@@ -114,7 +114,7 @@ class GroupParameters(ItemList):
         value = int.from_bytes(raw, "little")
         return [f for f in forms if number <= len(f) and f[number - 1][3] in (None, value)]
 
-    def _parse(self, stream: Any, context: Any, path: str) -> c.ListContainer:
+    def _parse(self, stream: BinaryIO, context: c.Container, path: str) -> c.ListContainer:
         data: bytes = c.stream_read_entire(stream, path)
         forms, items, at = self._forms(context), c.ListContainer(), 0
         while at < len(data):
@@ -134,7 +134,7 @@ class GroupParameters(ItemList):
             forms, at = self._left(forms, number, raw), at + 1 + size
         return items
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+    def _build(self, obj: Any, stream: BinaryIO, context: c.Container, path: str) -> Any:
         forms = self._forms(context)
         for item in obj:
             number, value = int(item["kind"]), item["data"]
@@ -151,7 +151,7 @@ class GroupParameters(ItemList):
         return obj
 
 
-def _built(construct: c.Construct, value: Any, context: Any, path: str) -> bytes:
+def _built(construct: c.Construct, value: Any, context: c.Container, path: str) -> bytes:
     content = io.BytesIO()
     try:
         construct._build(value, content, context, path)

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
+from aces_bus import Frame
 from aces_bus import Unknown as UnknownRecord
 from aces_bus.device import Poll, Robot
 from aces_bus.device.config import DeviceConfig
-from aces_bus.device.port import Left, Port
+from aces_bus.device.port import Left, Packet, Port
 from aces_bus.device.station import BusEndpoint, EndpointMember, credential_text
-from aces_bus.protocol import Message, Variant
+from aces_bus.protocol import Message, Record, Variant
 from aces_bus.protocol.plan.steps import ValueNames
 from aces_bus.runtime import VirtualClock
 
@@ -77,28 +78,28 @@ class Tap:
     def __init__(self, port: Port) -> None:
         self.port = port
         self.sent: list[tuple[int, Any]] = []
-        self.ends: list[Callable[[Any, int], Any]] = []
-        self._handlers: list[Callable[[str, str], Any]] = []
+        self.ends: list[Callable[[Frame | bytes, int], object]] = []
+        self._handlers: list[Callable[[str, str], object]] = []
         self._is_open = False
 
     def end(self) -> TapEnd:
         """Return one more end."""
         return TapEnd(self)
 
-    def attach(self, received: Callable[[Any, int], Any]) -> None:
+    def attach(self, received: Callable[[Frame | bytes, int], object]) -> None:
         """Have `received` called, too; the first one opens the port."""
         self.ends.append(received)
         if not self._is_open:
             self._is_open = True
             self.port.open(self._received)
 
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+    def on_event(self, handler: Callable[[str, str], object]) -> None:
         """Call `handler`, too, with what happens to the bus."""
         if not self._handlers:
             self.port.on_event(self._happened)
         self._handlers.append(handler)
 
-    def _received(self, packet: Any, instant: int) -> None:
+    def _received(self, packet: Frame | bytes, instant: int) -> None:
         for received in tuple(self.ends):
             received(packet, instant)
 
@@ -115,20 +116,20 @@ class TapEnd:
         self.tap, self.clock, self.name = tap, port.clock, port.name
         self.link: Literal["can", "serial", "datagram"] = port.link
         self.half_duplex = port.half_duplex
-        self._received: Callable[[Any, int], Any] | None = None
+        self._received: Callable[[Frame | bytes, int], object] | None = None
 
-    def open(self, received: Callable[[Any, int], Any]) -> None:
+    def open(self, received: Callable[[Frame | bytes, int], object]) -> None:
         """Begin to receive."""
         self._received = received
         self.tap.attach(received)
 
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+    def on_event(self, handler: Callable[[str, str], object]) -> None:
         """Pass the handler on to the port below."""
         self.tap.on_event(handler)
 
     def send(
         self,
-        packet: Any,
+        packet: Packet,
         age_ns: int = 0,
         *,
         urgent: bool = False,
@@ -139,7 +140,7 @@ class TapEnd:
         self.tap.sent.append((self.clock.now(), packet))
         return self.tap.port.send(packet, age_ns, urgent=urgent, topic=topic, report=report)
 
-    def wire_ns(self, packet: Any) -> int:
+    def wire_ns(self, packet: Packet) -> int:
         """Return what the port below says."""
         return self.tap.port.wire_ns(packet)
 
@@ -160,7 +161,7 @@ class _Ear(EndpointMember):
     def is_listening(self) -> bool:
         return self.listens
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         self.tester.noted(record, instant)
 
 
@@ -210,7 +211,7 @@ class DeviceTester(BusEndpoint[_Ear]):
 
     # ------------------------------------------------------------------ what comes
 
-    def noted(self, record: Any, instant: int) -> None:
+    def noted(self, record: Record, instant: int) -> None:
         """Count a record that the device has sent."""
         name = type(record).__name__
         self.counts[name] += 1
@@ -251,7 +252,7 @@ class DeviceTester(BusEndpoint[_Ear]):
         mine = self.ear.credentials
         return found is not None and all(mine.get(name, number) == number for name, number in found.items())
 
-    def _unaddressed(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Record, instant: int) -> None:
         theirs = {n: v for n in self.ear.credentials if (v := getattr(record, n, None)) is not None}
         if self.others is not None and any(
             all(other.get(n, v) == v for n, v in theirs.items()) for other in self.others
@@ -392,7 +393,7 @@ def _at(record: Any, way: Sequence[str | int]) -> Any:
 def _beyond(
     way: Sequence[str | int], least: float, greatest: float, said: tuple[float, float], unit: str
 ) -> Callable[[Any], str | None]:
-    def is_wrong(record: Any) -> str | None:
+    def is_wrong(record: Record) -> str | None:
         value = _at(record, way)
         if not isinstance(value, (int, float)) or least <= value <= greatest:
             return None
@@ -402,7 +403,7 @@ def _beyond(
 
 
 def _unnamed(way: Sequence[str | int]) -> Callable[[Any], str | None]:
-    def is_wrong(record: Any) -> str | None:
+    def is_wrong(record: Record) -> str | None:
         value = _at(record, way)
         return None if isinstance(value, str) or value is None else f"{value}, which has no name"
 

@@ -200,7 +200,7 @@ class TwinTrial:
         """
         return self.twin.credentials != self._credentials or not self.twin.is_powered
 
-    def guarded(self, action: Callable[[], Any]) -> Problem | None:
+    def guarded(self, action: Callable[[], object]) -> Problem | None:
         """Do something; what the twin raises, or did wrong until then, is the problem."""
         try:
             action()

@@ -18,6 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from aces_bus.errors import CallerError
@@ -161,7 +162,7 @@ class DaskWorkers(Workers):
                     client.close()
 
 
-def load_distributed() -> Any:
+def load_distributed() -> ModuleType:
     """Return the library; raises `CallerError` with how to install it."""
     try:
         import distributed

@@ -19,6 +19,7 @@ import hashlib
 import io
 import os
 from collections.abc import Iterable, Iterator
+from types import ModuleType
 from typing import Any, Literal
 
 import msgspec
@@ -263,7 +264,7 @@ def _opened(row: dict[str, Any]) -> dict[str, Any]:
     return {name: msgspec.json.decode(row[name], type=dict[str, int]) for name in _MAPS}
 
 
-def _schema(pa: Any) -> Any:
+def _schema(pa: ModuleType) -> Any:
     kinds = {
         "size": pa.int64(),
         "lines_unreadable": pa.int64(),

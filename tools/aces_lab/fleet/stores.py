@@ -21,6 +21,7 @@ from datetime import datetime
 from functools import partial
 from importlib import import_module
 from queue import Empty, SimpleQueue
+from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
 from aces_bus.errors import CallerError
@@ -65,7 +66,7 @@ class StoredFile(NamedTuple):
     stamp: str
 
 
-def load_fsspec() -> Any:
+def load_fsspec() -> ModuleType:
     """Return the library; raises `CallerError` with how to install it."""
     try:
         fsspec = import_module("fsspec")

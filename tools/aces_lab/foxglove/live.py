@@ -20,6 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from types import ModuleType
 from typing import Any, Literal, Never, Self
 from typing import Protocol as Interface
 
@@ -33,7 +34,7 @@ from aces_bus.export.base import Dataset, Datasets, Options
 from aces_bus.kinematics.body import Body
 from aces_bus.kinematics.links import Links
 from aces_bus.loopback import is_loopback
-from aces_bus.protocol import CanScanner, Variant
+from aces_bus.protocol import CanScanner, Record, Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.protocol.declare.message import GivenWay
 from aces_bus.runtime import RealClock
@@ -89,7 +90,7 @@ TRANSFORMS_SCHEMA = msgspec.json.encode(
 )
 
 
-def foxglove() -> Any:
+def foxglove() -> ModuleType:
     """Return the library; `CallerError` naming the extra when it is missing."""
     try:
         import foxglove as library
@@ -449,7 +450,7 @@ class LiveStates:
         self._is_usual = states is None
         self._links = None if body is None else Links(body)
         self._names: list[str] = []
-        self._reads: list[Callable[[], Any]] = []
+        self._reads: list[Callable[[], object]] = []
         self._channel = self._transforms = -1
         self._encode = msgspec.json.Encoder().encode
 
@@ -469,7 +470,7 @@ class LiveStates:
             }
         )
 
-    def read(self, reads: Mapping[str, tuple[str, Callable[[], Any]]]) -> None:
+    def read(self, reads: Mapping[str, tuple[str, Callable[[], object]]]) -> None:
         """Have these quantities: name → unit, and what gives the value (whatever is not a number is unknown)."""
         self._names = list(reads)
         self._reads = [read for _, read in reads.values()]
@@ -502,7 +503,7 @@ class LiveStates:
             view.send(self._transforms, instant, self._encode(_transforms(self._links, known, instant)))
 
 
-def _newest(state: Any) -> Callable[[], Any]:
+def _newest(state: Any) -> Callable[[], object]:
     return lambda: state[0]
 
 
@@ -573,7 +574,7 @@ class LiveRecords(Datasets):
     def _begin(self, dataset: Dataset) -> None:
         self._topics.begin(dataset)
 
-    def publish(self, items: Sequence[Any]) -> None:
+    def publish(self, items: Sequence[Record]) -> None:
         """Publish the messages of records, in their order."""
         rows = np.arange(self._seen, self._seen + len(items)) if self._is_can else None
         self._seen += len(items)

@@ -35,7 +35,7 @@ class Hit:
 
     packet: Any
     #: The answer before this one; None: it is the first.
-    before: Any
+    before: Frame | bytes | None
     dice: random.Random
     line: Line
     twins: Twins
@@ -211,9 +211,9 @@ class Injection:
         if effect is None:
             return None
         answers = Answers(twins)
-        before: Any = None
+        before: Frame | bytes | None = None
 
-        def alter(number: int, packet: Any) -> tuple[str, Sendings] | None:
+        def alter(number: int, packet: Frame | bytes) -> tuple[str, Sendings] | None:
             nonlocal before
             last, before = before, packet if number >= 0 else before
             if not self.is_hit(number):

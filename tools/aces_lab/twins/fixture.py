@@ -89,7 +89,7 @@ class TwinMaker:
 
 
 @contextmanager
-def maker_of(request: Any) -> Generator[TwinMaker]:
+def maker_of(request: pytest.FixtureRequest) -> Generator[TwinMaker]:
     """Make the fixture of a test; the first of a session has failures reported."""
     plugins = request.config.pluginmanager
     if not plugins.has_plugin("aces_twin_reports"):
@@ -105,7 +105,9 @@ class Reports:
     """Adds the conversation to the report of a test that fails."""
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(self, item: Any, call: Any) -> Generator[None, Any, Any]:
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, Any, Any]:
         """Print the conversation behind the traceback, and save it."""
         report = yield
         maker = item.stash.get(MAKER, None)

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -21,7 +21,7 @@ MARKER = (
 )
 
 
-def pytest_addoption(parser: Any) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
     """Add `--aces-faults`, `--aces-seed`, `--aces-places` and `--aces-patience`."""
     group = parser.getgroup("aces_twin", "simulated devices (the fixture aces_twin of aces-bus)")
     group.addoption(
@@ -49,7 +49,7 @@ def pytest_addoption(parser: Any) -> None:
     )
 
 
-def pytest_configure(config: Any) -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Register the marker; with `--aces-faults` what runs tests under them."""
     config.addinivalue_line("markers", MARKER)
     if names := config.getoption("aces_faults", ""):

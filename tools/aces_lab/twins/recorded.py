@@ -21,7 +21,7 @@ from aces_bus import Frame, Unknown, as_dict, load_protocol, make_scanner, open_
 from aces_bus.device import Device, Driver, Robot, Twin
 from aces_bus.device.config import Bus, DeviceConfig
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Protocol, Variant
+from aces_bus.protocol import Protocol, Record, Variant
 from aces_bus.recordings.base import CanRecording
 
 #: What comes so long behind a request (s) is no answer to it.
@@ -34,7 +34,7 @@ class Answer(NamedTuple):
     """An answer of a recording: how long after its request (s), and its frame or bytes."""
 
     delay_s: float
-    packet: Any
+    packet: Frame | bytes
 
 
 Key = tuple[Any, ...]
@@ -52,7 +52,7 @@ class Recorded:
     #: Packets that the spec does not know.
     unknown: int = 0
 
-    def find(self, record: Any, times: Counter[Key]) -> tuple[list[Answer] | None, bool]:
+    def find(self, record: Record, times: Counter[Key]) -> tuple[list[Answer] | None, bool]:
         """Return the answers of a request, and whether they are those of one with other measured numbers; None: none."""
         for known, key, is_alike in (
             (self.answers, request_key(record), False),
@@ -65,12 +65,12 @@ class Recorded:
         return None, False
 
 
-def request_key(record: Any) -> Key:
+def request_key(record: Record) -> Key:
     """Return what a request is known by: its message and all its fields."""
     return (type(record).__name__, repr(as_dict(record)))
 
 
-def request_key_without_numbers(record: Any) -> Key:
+def request_key_without_numbers(record: Record) -> Key:
     """Return what a request is known by without its measured numbers."""
     fields = {name: value for name, value in as_dict(record).items() if not isinstance(value, float)}
     return (type(record).__name__, "alike", repr(fields))
@@ -147,7 +147,7 @@ class RecordedTwin(Twin):
         for seconds, packet in self.recorded.unasked:
             self.clock.call_in(round(seconds * 1e9), partial(self.send_raw, packet))
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Answer a request as it was answered."""
         found, is_alike = self.recorded.find(record, self._times)
         if found is None:

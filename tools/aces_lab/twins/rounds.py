@@ -102,7 +102,7 @@ class FaultRounds:
     # ------------------------------------------------------------------ running
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_protocol(self, item: Any, nextitem: Any) -> bool | None:
+    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item) -> bool | None:
         """Run a test that uses the fixture plainly, then under each fault."""
         if "aces_twin" not in getattr(item, "fixturenames", ()):
             return None
@@ -115,7 +115,7 @@ class FaultRounds:
         item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         return True
 
-    def _run(self, item: Any, nextitem: Any, injection: Injection | None) -> FaultRun:
+    def _run(self, item: Any, nextitem: pytest.Item, injection: Injection | None) -> FaultRun:
         for key in (MAKER, RAISED):
             if key in item.stash:
                 del item.stash[key]
@@ -128,7 +128,7 @@ class FaultRounds:
         return FaultRun(reports, item.stash.get(MAKER, None), raised, time.monotonic() - began)
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_call(self, item: Any) -> Generator[None, Any, Any]:
+    def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, Any, Any]:
         """End a test that hangs under a fault."""
         can_end = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
         if item.stash.get(INJECTION, None) is None or not can_end:
@@ -145,7 +145,9 @@ class FaultRounds:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
 
-    def _under_faults(self, item: Any, nextitem: Any, plain: FaultRun, maker: TwinMaker) -> None:
+    def _under_faults(
+        self, item: pytest.Item, nextitem: pytest.Item, plain: FaultRun, maker: TwinMaker
+    ) -> None:
         said: set[str] = set()
         left: set[str] = set()
         for mark in item.iter_markers("aces_faults"):
@@ -169,8 +171,8 @@ class FaultRounds:
 
     def _least(
         self,
-        item: Any,
-        nextitem: Any,
+        item: pytest.Item,
+        nextitem: pytest.Item,
         injection: Injection,
         run: FaultRun,
         survives: frozenset[str],
@@ -188,7 +190,7 @@ class FaultRounds:
 
     # ------------------------------------------------------------------ reporting
 
-    def _report(self, item: Any, injection: Injection, run: FaultRun) -> None:
+    def _report(self, item: pytest.Item, injection: Injection, run: FaultRun) -> None:
         report = _report_of(item, injection, "passed" if run.outcome == "passes" else "skipped", None)
         outcome = run.outcome
         if run.outcome != "passes":
@@ -200,7 +202,7 @@ class FaultRounds:
         report.user_properties.append(("aces_fault", (injection.fault.name, outcome, "")))
         item.ihook.pytest_runtest_logreport(report=report)
 
-    def _report_broken(self, item: Any, injection: Injection, run: FaultRun) -> None:
+    def _report_broken(self, item: pytest.Item, injection: Injection, run: FaultRun) -> None:
         failed = next(report for report in run.reports if report.failed)
         report = _report_of(item, injection, "failed", failed.longrepr)
         fault = injection.fault
@@ -227,7 +229,7 @@ class FaultRounds:
                 if line:
                     self.broken.append(line)
 
-    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Say what the program did under faults, and which assumptions broke."""
         if not self.counts:
             return
@@ -238,7 +240,7 @@ class FaultRounds:
             terminalreporter.write_line(line)
 
 
-def _report_of(item: Any, injection: Injection, outcome: Any, longrepr: Any) -> TestReport:
+def _report_of(item: pytest.Item, injection: Injection, outcome: Any, longrepr: Any) -> TestReport:
     file, line, domain = item.location
     where = f"{injection.fault.name}{'' if injection.hits is None else ''.join(f'-{n + 1}' for n in sorted(injection.hits))}"
     return TestReport(

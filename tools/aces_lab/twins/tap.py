@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import msgspec
 
 from aces_bus import Frame, Unknown, as_dict, make_scanner
-from aces_bus.device.port import Left, Port, UpperPort
+from aces_bus.device.port import Left, Packet, Port, UpperPort
 from aces_bus.device.twin import Twins, with_data
 from aces_bus.errors import AcesError
 from aces_bus.frames import FD_LENGTHS
-from aces_bus.protocol import Variant
+from aces_bus.protocol import Record, Variant
 
 #: What comes so long behind a request (ns) is not an answer to it.
 ASKED_NS = 50_000_000
@@ -50,11 +50,11 @@ class TwinTap(UpperPort):
         self._unasked: set[object] = set()
         self.alter: Callable[[int, Any], tuple[str, Sendings] | None] | None = None
 
-    def open(self, received: Callable[[Any, int], Any]) -> None:
+    def open(self, received: Callable[[Frame | bytes, int], object]) -> None:
         """Start receiving."""
         note = self.passed.append
 
-        def both(packet: Any, instant: int) -> None:
+        def both(packet: Frame | bytes, instant: int) -> None:
             self._asked_at = instant
             note(Passed(instant, False, packet))
             received(packet, instant)
@@ -63,7 +63,7 @@ class TwinTap(UpperPort):
 
     def send(
         self,
-        packet: Any,
+        packet: Frame | bytes,
         age_ns: int = 0,
         *,
         urgent: bool = False,
@@ -89,7 +89,7 @@ class TwinTap(UpperPort):
             clock.call_soon(lambda: report("sent", ""))
         return True
 
-    def _number(self, packet: Any) -> int:
+    def _number(self, packet: Frame | bytes) -> int:
         kind = packet.arbitration_id if isinstance(packet, Frame) else bytes(packet[:4])
         if self.port.clock.now() - self._asked_at > ASKED_NS:
             self._unasked.add(kind)
@@ -98,7 +98,7 @@ class TwinTap(UpperPort):
         self.answers += 1
         return self.answers - 1
 
-    def _give(self, note: str, packet: Any, report: Left | None) -> bool:
+    def _give(self, note: str, packet: Frame | bytes, report: Left | None) -> bool:
         is_taken = self.port.send(packet) if report is None else self.port.send(packet, report=report)
         self.passed.append(
             Passed(self.port.clock.now(), True, packet, note if is_taken else "the bus did not take it")
@@ -119,7 +119,7 @@ class Answers:
         self._addresses = _shared_fields(twins)
         self._credentials = {name for twin in twins.members.values() for name in twin.credentials}
 
-    def record(self, packet: Any) -> Any:
+    def record(self, packet: Packet) -> Any:
         """Return the record that a packet is by itself; None: it is none, or one of several frames."""
         if isinstance(packet, tuple):
             if len(packet) != 1:
@@ -129,7 +129,7 @@ class Answers:
         found = [*scanner.feed([packet] if isinstance(packet, Frame) else packet), *scanner.close()]
         return found[0] if len(found) == 1 and not isinstance(found[0], Unknown) else None
 
-    def built(self, record: Any, changed: dict[str, Any]) -> Any:
+    def built(self, record: Record, changed: dict[str, Any]) -> Any:
         """Return the packet of a record with other values; None: it cannot be."""
         protocol = next(v for v in self._variants.values() if type(record).__name__ in v.messages)
         fields = {**_plain(as_dict(record)), **changed}
@@ -138,7 +138,7 @@ class Answers:
         except (AcesError, ValueError, TypeError):
             return None
 
-    def of_another(self, packet: Any) -> Any:
+    def of_another(self, packet: Frame | bytes) -> Any:
         """Return the answer as another device's, whose number is one more, or one less; None: it cannot be."""
         record = self.record(packet)
         names = self._credentials.intersection(getattr(record, "__struct_fields__", ()))
@@ -151,7 +151,7 @@ class Answers:
                 return made
         return None
 
-    def with_other_values(self, packet: Any) -> Any:
+    def with_other_values(self, packet: Frame | bytes) -> Any:
         """Return the answer with other numbers in it, its kind and its credentials as they are; None: it has none."""
         record = self.record(packet)
         if record is None:
@@ -200,13 +200,13 @@ def _others(value: Any) -> list[Any]:
     return []
 
 
-def flipped(packet: Any, dice: random.Random) -> Any:
+def flipped(packet: bytes, dice: random.Random) -> Any:
     """Return bytes of a line with one bit wrong."""
     at, bit = dice.randrange(len(packet)), dice.randrange(8)
     return with_data(packet, lambda data: data[:at] + bytes((data[at] ^ 1 << bit,)) + data[at + 1 :])
 
 
-def shortened(packet: Any) -> Any:
+def shortened(packet: Frame | bytes) -> Any:
     """Return a frame or packet that ends a byte early."""
     if not isinstance(packet, Frame):
         return with_data(packet, lambda data: data[:-1])

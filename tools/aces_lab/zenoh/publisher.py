@@ -23,6 +23,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from types import ModuleType
 from typing import Any, Self
 
 import msgspec
@@ -69,7 +70,7 @@ class AboutStates(msgspec.Struct):
     takes: bool = False
 
 
-def zenoh() -> Any:
+def zenoh() -> ModuleType:
     """Return the library; `CallerError` naming the extra when it is missing."""
     try:
         import zenoh as library
@@ -170,7 +171,7 @@ class Publisher:
         clock: Any = None,
         allow_set: bool = False,
         dead_man_s: float | None = 0.5,
-        on_lost: Callable[[], Any] | None = None,
+        on_lost: Callable[[], object] | None = None,
         options: Options | None = None,
     ) -> None:
         self.name = f"zenoh {endpoint}"

@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ FEW = 40
 LONGEST_NAME = 32
 
 
-def load_matplotlib() -> Any:
+def load_matplotlib() -> ModuleType:
     """Return matplotlib; raise `CallerError` when it is not installed."""
     try:
         import matplotlib

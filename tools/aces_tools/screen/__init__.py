@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
+from aces_bus.hardware.gate import Received
 
 from ..live import silence_s
 from .model import Model
@@ -116,7 +117,7 @@ class ModelFeed:
         self._received_ns = 0
         self._is_settled = True
 
-    def feed(self, items: Sequence[Any]) -> None:
+    def feed(self, items: Sequence[Received[Any]]) -> None:
         """Feed the model with items from a gate."""
         feed = self._scanner.datagram if self._are_datagrams else self._scanner.feed
         for item in items:
