@@ -110,7 +110,7 @@ def test_an_odrive_of_another_firmware_is_not_written_to() -> None:
     with VirtualRobot(robot, rate_hz=100) as virtual:
         virtual.advance(0.3)
         with pytest.raises(
-            DeviceError, match=r"M has firmware 0\.6\.10, and watchdog_endpoints are those of 0\.6\.9"
+            DeviceError, match=r"M has firmware 0\.6\.10, and its endpoints are those of 0\.6\.9"
         ):
             virtual.devices["M"].enable().wait(5)
         assert virtual.simulation["M"].parameters == {}  # type: ignore[attr-defined]

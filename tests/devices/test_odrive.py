@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from aces_bus.errors import CallerError, DeviceError, NotStoppedError
+from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 from aces_bus.hardware import ListeningNode, SimulatedBus
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing import driver_tests
 from aces_devices.odrive import driver
 from aces_devices.odrive.driver import Odrive
+from aces_devices.odrive.twin import OdriveTwin
 from aces_protocols.odrive.spec import odrive
 
 test_odrive = driver_tests(driver)
@@ -188,6 +191,112 @@ def test_parameters_of_firmware_0_6(robot: VirtualRobot) -> None:
         hip.read(0x123, type="double")
     with pytest.raises(CallerError, match="confirm=True"):
         hip.write(0x123, 1.0, confirm=False)
+    with pytest.raises(CallerError, match="is a name: say settings endpoints"):
+        hip.read("vbus_voltage")
+
+
+#: An endpoint file of the shape that ODrive's have; numbers are drawn.
+FILE = {
+    "fw_version": "0.6.11",
+    "hw_version": "4.4.58",
+    "endpoints": {
+        "vbus_voltage": {"id": 1, "type": "float", "access": "r"},
+        "axis0.current_state": {"id": 40, "type": "uint8", "access": "r"},
+        "axis0.config.watchdog_timeout": {"id": 200, "type": "float", "access": "rw"},
+        "axis0.config.enable_watchdog": {"id": 201, "type": "bool", "access": "rw"},
+        "axis0.config.motor.pole_pairs": {"id": 330, "type": "uint32", "access": "rw"},
+        "save_configuration": {"id": 600, "type": "function"},
+    },
+}
+
+
+@pytest.fixture
+def named(tmp_path: Path) -> Iterator[VirtualRobot]:
+    """The robot, with an endpoint file and a watchdog."""
+    path = tmp_path / "flat_endpoints.json"
+    path.write_text(json.dumps(FILE))
+    text = ROBOT.replace(
+        "credentials = { node = 3 }",
+        f'credentials = {{ node = 3 }}, settings = {{ endpoints = "{path}", watchdog_s = 0.2 }}',
+    )
+    assert text != ROBOT
+    made, problems = parse_robot(text)
+    assert made is not None, problems
+    with VirtualRobot(made, rate_hz=100) as robot:
+        robot.advance(0.5)
+        yield robot
+
+
+def test_parameters_by_name(named: VirtualRobot) -> None:
+    """With their types, of the file; what is written is read back, and outlives a boot when it was saved."""
+    hip, twin = axis(named), named.twins["A"]
+    assert hip.read("vbus_voltage").wait() == 24.0
+    assert hip.read("axis0.current_state").wait() == 1
+    hip.write("axis0.config.motor.pole_pairs", 7, confirm=True).wait()
+    assert hip.read("axis0.config.motor.pole_pairs").wait() == 7
+    twin.reboot()
+    assert hip.read("axis0.config.motor.pole_pairs").wait() == 0
+    hip.write("axis0.config.motor.pole_pairs", 7, confirm=True).wait()
+    hip.save(confirm=True).wait()
+    named.advance(0.2)
+    assert hip.read(330, type="uint32").wait() == 7
+
+
+def test_what_is_no_parameter_of_the_file(named: VirtualRobot) -> None:
+    """An unknown name, one that can only be read, a function, a number that does not fit."""
+    hip = axis(named)
+    with pytest.raises(UnknownNameError, match="pole_pairs"):
+        hip.read("axis0.config.motor.pole_pair")
+    with pytest.raises(CallerError, match="vbus_voltage can only be read"):
+        hip.write("vbus_voltage", 1.0, confirm=True)
+    with pytest.raises(CallerError, match="save_configuration is a function"):
+        hip.read("save_configuration")
+    with pytest.raises(CallerError, match="-1 does not fit into uint32"):
+        hip.write("axis0.config.motor.pole_pairs", -1, confirm=True)
+
+
+def test_names_of_another_firmware_are_refused(named: VirtualRobot) -> None:
+    """Its numbers are other parameters: nothing is read or written by name."""
+    twin: Any = named.twins["A"]
+    twin.firmware = (0, 6, 10)
+    with pytest.raises(DeviceError, match=r"has firmware 0\.6\.10, and its endpoints are those of 0\.6\.11"):
+        axis(named).write("axis0.config.motor.pole_pairs", 7, confirm=True).wait()
+    assert 330 not in twin.parameters
+
+
+def test_enabling_sets_the_watchdog_by_its_names(named: VirtualRobot) -> None:
+    """A drive whose host is gone disarms."""
+    named.rig.each("enable").wait()
+    twin: Any = named.twins["A"]
+    assert twin.watchdog_ns == pytest.approx(200_000_000)
+    named.rig.stop_motion().wait()
+    named.advance(0.1)
+    assert twin.watchdog_ns == 0  # nothing feeds an axis that is off
+
+
+def test_a_calibration_turns_the_motor_and_says_how_it_ended(robot: VirtualRobot) -> None:
+    """There and back; one that is held has not succeeded, and an axis that was not calibrated stays off until then."""
+    hip, twin = axis(robot), robot.twins["A"]
+    assert isinstance(twin, OdriveTwin)
+    twin.fault("uncalibrated")
+    with pytest.raises(DeviceError, match="stays off"):
+        hip.enable().wait()
+    before, places = twin.turns, set[float]()
+    job = hip.calibrate()
+    for _ in range(100):
+        robot.advance(0.01)
+        places.add(round(twin.turns - before, 2))
+    job.wait()
+    assert max(places) == pytest.approx(0.25, abs=0.1)
+    assert abs(twin.turns - before) < 0.05
+    hip.enable().wait()
+    hip.disable().wait()
+    robot.advance(0.3)
+    twin.fault("jam")
+    with pytest.raises(DeviceError, match="offset_calibration failed: no_response"):
+        hip.calibrate("offset_calibration").wait()
+    with pytest.raises(UnknownNameError, match="procedure"):
+        hip.calibrate("dance")
 
 
 def test_an_axis_that_switches_itself_off_is_reported(robot: VirtualRobot) -> None:

@@ -11,10 +11,11 @@ from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.hardware import ListeningNode, SimulatedBus
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing import driver_tests
-from aces_devices.robstride import driver
+from aces_devices.robstride import driver, mit_driver
 from aces_devices.robstride.driver import Robstride
 from aces_devices.robstride.twin import RobstrideTwin
 from aces_protocols.robstride.spec import robstride
+from aces_protocols.robstride_mit.spec import robstride_mit
 
 COMMANDS = "told by what answers commands alone; none is sent while it is off"
 EXCUSED = {
@@ -22,6 +23,11 @@ EXCUSED = {
     **{f"received: {name}": COMMANDS for name in ("*.torque", "*.state", "*.temperature")},
 }
 test_robstride = driver_tests(driver, excused=EXCUSED)
+MIT_EXCUSED = {
+    **{f"set: {name}.velocity": EXCUSED["set: HIP.velocity"] for name in ("HIP", "KNEE")},
+    **{f"set: {name}.torque": "stiffness holds against it" for name in ("HIP", "KNEE")},
+}
+test_robstride_mit = driver_tests(mit_driver, excused=MIT_EXCUSED)
 
 ROBOT = """
 name = "leg"
@@ -169,3 +175,61 @@ def test_zero_and_parameters(leg: VirtualRobot) -> None:
         hip.write("vbus", 3.0, confirm=True)
     with pytest.raises(UnknownNameError, match="spd_kp"):
         hip.read("spd_pk")
+
+
+# ---------------------------------------------------------------------- the MIT protocol
+
+MIT = """
+name = "leg"
+rate_hz = 200
+[buses]
+leg = { link = "can", protocol = "robstride_mit", bitrate = 1_000_000 }
+[devices]
+M1 = { driver = "robstride_mit", bus = "leg", credentials = { motor = 1 }, model = "RS00" }
+[joints]
+HIP = { device = "M1", direction = -1, zero = 0.2, lower = -1.5, upper = 1.5, max_speed = 6, gains = { kp = 200, kd = 5 } }
+"""
+
+
+def test_the_mit_protocol_follows_set_points() -> None:
+    """Enabled it holds where it is, and goes to a position with the joint's stiffness; stopped it gives way."""
+    with made(MIT) as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot["HIP"].set(0.5)
+        robot.advance(1.0)
+        assert robot["HIP.position"].value == pytest.approx(0.5, abs=0.02)
+        robot.rig.stop_motion().wait(5)
+        robot.advance(0.1)
+        found: Any = robot.twins["M1"]
+        assert found.state == "reset"
+
+
+def test_a_fault_of_the_mit_protocol_ends_set_points_until_it_is_cleared() -> None:
+    """The list of faults says so: enabling fails with their names until they are cleared."""
+    with made(MIT) as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot.twins["M1"].fault("under_voltage")
+        robot.advance(0.5)
+        assert "HIP: under_voltage" in [event.detail for event in robot.events.of("alarm")]
+        with pytest.raises(DeviceError, match="under_voltage; clear it first"):
+            robot.rig.each("enable").wait(5)
+        robot.twins["M1"].fault("under_voltage", on=False)
+        device: Any = robot.devices["M1"]
+        device.clear_faults().wait(5)
+        robot.rig.each("enable").wait(5)
+
+
+def test_the_mit_protocol_needs_a_model_or_ranges() -> None:
+    """A wrong range is a wrong torque: a model that sources disagree about needs its manual's."""
+    with pytest.raises(UnknownNameError, match="without settings ranges"):
+        made(MIT.replace("RS00", "RS03"))
+
+
+def test_a_set_point_of_full_scale_is_a_set_point() -> None:
+    """Eight bytes FF move the motor; only other last bytes make them a command that switches it."""
+    frame = robstride_mit.encode("Command", motor=1, position=1.0, velocity=1.0, kp=1.0, kd=1.0, torque=1.0)
+    assert frame.data == b"\xff" * 8
+    (record,) = robstride_mit.scanner(direction="to device").feed([frame])
+    assert type(record).__name__ == "Command"

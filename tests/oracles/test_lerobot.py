@@ -1,4 +1,4 @@
-"""LeRobot's bus classes, unmodified: Feetech servos with the twins of an SO-101, Dynamixel servos, Damiao motors.
+"""LeRobot's bus classes, unmodified: Feetech servos with the twins of an SO-101, Dynamixel, Damiao and RobStride motors.
 
 `make test-lerobot` installs it, with PyTorch, into an environment of its own; nothing else here needs them.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import importlib
 import math
+import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -36,6 +38,16 @@ line = { link = "serial", protocol = "feetech", baud = 1_000_000 }
 RETRIES = 50
 
 
+def patiently(step: Callable[[], Any]) -> Any:
+    """Do again what LeRobot itself does not ask again when an answer comes too late; return its result."""
+    for _ in range(RETRIES):
+        try:
+            return step()
+        except ConnectionError:
+            pass
+    return step()
+
+
 def test_the_bus_class_sets_up_calibrates_and_moves_an_arm() -> None:
     """Connect with its handshake, configure, calibrate, torque, goals and positions: as LeRobot does with an SO-101."""
     with served_line(ARM, driver) as line:
@@ -46,7 +58,7 @@ def test_the_bus_class_sets_up_calibrates_and_moves_an_arm() -> None:
         bus = feetech.FeetechMotorsBus(line.path, arm)
         bus.connect(handshake=True)
         bus.disable_torque(num_retry=RETRIES)
-        bus.configure_motors()
+        patiently(bus.configure_motors)
         for name in JOINTS:
             bus.write("Operating_Mode", name, 0, num_retry=RETRIES)
             bus.write("P_Coefficient", name, 16, num_retry=RETRIES)
@@ -67,10 +79,11 @@ def test_the_bus_class_sets_up_calibrates_and_moves_an_arm() -> None:
         found: dict[str, float] = {}
         for _ in range(1000):
             found = bus.sync_read("Present_Position", normalize=False, num_retry=RETRIES)
-            if found == goals:
+            if found == pytest.approx(goals, abs=2):  # friction holds it a step or two before its goal
                 break
-        assert found == goals
-        assert bus.sync_read("Present_Position", num_retry=RETRIES)["shoulder_pan"] == pytest.approx(-50)
+        assert found == pytest.approx(goals, abs=2)
+        shares = bus.sync_read("Present_Position", num_retry=RETRIES)
+        assert shares["shoulder_pan"] == pytest.approx(-50, abs=0.2)
         bus.disconnect(disable_torque=True)
         assert not any(twin["torque_enable"] for twin in twins)
         assert not [one for one in line.records() if isinstance(one, Unknown)]
@@ -139,3 +152,37 @@ def test_damiao_with_the_fixture(aces_twin: Any) -> None:
     )
     bus.disconnect(disable_torque=True)
     assert arm["DAMIAO1"].status == "disabled"
+
+
+def test_robstride_with_the_fixture(aces_twin: Any) -> None:
+    """Connect with its handshake, its mode, torque, goals and positions."""
+    robstride: Any = importlib.import_module("lerobot.motors.robstride")
+    arm = aces_twin("robstride_mit", motors=[1, 2], model="RS00", time="virtual")
+    joints = {
+        f"joint_{n}": motors.Motor(
+            n, "robstride", motors.MotorNormMode.DEGREES, motor_type_str="O0", recv_id=n
+        )
+        for n in (1, 2)
+    }
+    bus = robstride.RobstrideMotorsBus(arm.channel, joints, can_interface="aces", use_can_fd=False)
+
+    def connect() -> None:
+        try:
+            bus.connect(handshake=True)
+        except ConnectionError:  # it waits for 1 ms, which a busy machine may take
+            bus.canbus.shutdown()
+            raise
+
+    patiently(connect)
+    bus.configure_motors()
+    bus.sync_write("Kp", {"joint_1": 40.0, "joint_2": 40.0})
+    for _ in range(100):
+        bus.sync_write("Goal_Position", {"joint_1": 10.0, "joint_2": -20.0})
+        arm.wait(0.02)
+    found = bus.sync_read("Present_Position")
+    assert found == {"joint_1": pytest.approx(10.0, abs=3.0), "joint_2": pytest.approx(-20.0, abs=3.0)}
+    time.sleep(0.05)  # it believes what it read for 20 ms
+    position = patiently(lambda: bus.read("Present_Position", "joint_1"))
+    assert position == pytest.approx(math.degrees(arm["ROBSTRIDE_MIT1"].angle), abs=0.1)
+    bus.disconnect(disable_torque=True)
+    assert arm["ROBSTRIDE_MIT1"].state == "reset"

@@ -126,7 +126,7 @@ class Console:
             return _text("OK")
         fields = self._telemetry[name]()
         if command == "schema":
-            return _text(f"schema {name}") + _blob(schema_of(fields))
+            return _text(f"schema {name}") + _blob(telemetry_schema(fields))
         if name in self._as_text:
             lines = (
                 f"{name}.{field}{f'.{place}' if len(values) > 1 else ''} {value}"
@@ -134,10 +134,10 @@ class Console:
                 for place, value in enumerate(values)
             )
             return _text("\r\n".join((*lines, "OK")))
-        return _text(f"emit {name}") + _blob(data_of(fields))
+        return _text(f"emit {name}") + _blob(telemetry_data(fields))
 
 
-def schema_of(fields: Fields) -> bytes:
+def telemetry_schema(fields: Fields) -> bytes:
     """Return the schema of a channel: an object with a type for each field."""
     out = bytearray(_OBJECT)
     for name, (kind, values) in fields.items():
@@ -146,7 +146,7 @@ def schema_of(fields: Fields) -> bytes:
     return bytes(out + _FINAL)
 
 
-def data_of(fields: Fields) -> bytes:
+def telemetry_data(fields: Fields) -> bytes:
     """Return the values of a channel, as its schema has them."""
     return b"".join(
         struct.pack(f"<{len(values)}{_TYPES[kind][1]}", *values) for kind, values in fields.values()

@@ -386,7 +386,7 @@ class Moteus(Device):
 
         def steps(job: Job) -> Steps:
             lines: list[str] = yield from self._say(f"conf get {name}", is_one_line=True)
-            return number_of(lines[0])
+            return parsed_value(lines[0])
 
         return self.job(f"read {name}", steps)
 
@@ -396,7 +396,7 @@ class Moteus(Device):
         def steps(job: Job) -> Steps:
             lines: list[str] = yield from self._say("conf enumerate")
             pairs = (line.partition(" ") for line in lines)
-            return {name: number_of(text) for name, _, text in pairs}
+            return {name: parsed_value(text) for name, _, text in pairs}
 
         return self.job("configuration", steps)
 
@@ -475,7 +475,7 @@ class Moteus(Device):
         return self.heard.pop(0)
 
 
-def number_of(text: str) -> float | str:
+def parsed_value(text: str) -> float | str:
     """Return a value of the console: a whole number, a number, or text that is none."""
     for kind in (int, float):
         try:

@@ -11,7 +11,6 @@ Units: revolutions of the motor in the drive, rad of the joint here (`JointScale
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from math import tau
@@ -23,15 +22,20 @@ from msgspec import Meta
 from aces_bus.device import Driver, HostLoss, Job, Poll, SingleMotor, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.device.ticket import Awaited
-from aces_bus.errors import CallerError, DeviceError
+from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
 from aces_bus.protocol.record import FieldValue
 
 from ..scanning import scan_numbers
+from .endpoints import TYPES, WATCHDOG, Endpoint, endpoint_bytes, endpoint_value, read_endpoints
 from .twin import OdriveTwin
 
 #: A heartbeat comes every 100 ms; so long it is waited for (s).
 HEARTBEAT_S = 0.35
+#: How long a write may take to be confirmed (firmware 0.6.11; ODriveResources can_restore_config.py), ns.
+CONFIRMATION_NS = 10_000_000
+#: An answer to another question than the last is asked for again, so often.
+ANOTHERS = 3
 #: The longest calibration of a drive: a choice (s).
 CALIBRATION_S = 60.0
 #: Mode → the message of its set-points, and its input mode when it is ramped.
@@ -52,11 +56,22 @@ _ERRORS: Mapping[str, tuple[str, ...]] = {
 }
 #: Actions that came with firmware 0.6.
 NEW = frozenset(("version", "read", "write", "save"))
-#: Types of parameters, as ODrive's endpoint files name them → struct's.
-TYPES = {
-    "bool": "?", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I", "int32": "i", "uint64": "Q",
-    "int64": "q", "float": "f",
-}  # fmt: skip
+#: What `calibrate` can do: the procedures of an axis, of which most turn the motor.
+PROCEDURES = (
+    *(
+        "full_calibration",
+        "motor_calibration",
+        "index_search",
+        "offset_calibration",
+        "hall_polarity_calibration",
+    ),
+    *(
+        "hall_phase_calibration",
+        "anticogging_calibration",
+        "harmonic_calibration",
+        "harmonic_commutation_calibration",
+    ),
+)
 
 
 class OdriveSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,6 +118,16 @@ class OdriveSettings(msgspec.Struct, frozen=True, kw_only=True):
         ]
         | None
     ) = None
+    endpoints: (
+        Annotated[
+            str,
+            Meta(
+                description="flat_endpoints.json of the drive's firmware 0.6: parameters are read and written by name, and"
+                " `enable` sets the watchdog"
+            ),
+        ]
+        | None
+    ) = None
     firmware: (
         Annotated[
             str,
@@ -130,13 +155,13 @@ class Odrive(SingleMotor):
         "clear_errors": "clear all errors; the axis stays off",
         "read_errors": "ask for the error registers",
         "estop": "disarm, with an error that has to be cleared",
-        "calibrate": "full calibration: the motor beeps and turns, both ways",
+        "calibrate": "full calibration, or another procedure=: the motor beeps and turns, both ways",
         "set_zero": "the present position is 0 of the joint, until it is switched off",
         "set_gains": "gains, in the drive's units: position= velocity= integrator=",
         "reboot": "boot anew",
         "version": "ask for the versions",
-        "read": "read a parameter: endpoint= and type= of this firmware's endpoint file",
-        "write": "write a parameter: endpoint= type= value= confirm=true",
+        "read": "read a parameter: endpoint= its name (setting endpoints), or its number with type=",
+        "write": "write a parameter: endpoint= value= confirm=true, and type= with a number",
         "save": "store the configuration and boot anew; confirm=true",
     }
     asking: ClassVar = ("read_errors", "version", "read")
@@ -153,6 +178,21 @@ class Odrive(SingleMotor):
                 f"{self.name}: watchdog_endpoints go with watchdog_s and firmware, on firmware 0.6: another firmware has"
                 " another parameter at these numbers"
             )
+        if settings.endpoints is not None and not self.is_new:
+            raise CallerError(f"{self.name}: endpoints are of firmware 0.6; this is {self.variant.dialect}")
+        self._endpoints = (
+            None if settings.endpoints is None else read_endpoints(self.name, settings.endpoints)
+        )
+        self._firmware = self._endpoints.fw_version if self._endpoints is not None else settings.firmware
+        #: Whether the drive has the firmware of the endpoint file; asked once, and again after it was silent.
+        self._is_known = False
+        #: Numbers of the watchdog's time and switch, where they are known.
+        self._watchdog = settings.watchdog_endpoints
+        if self._watchdog is None and self._endpoints is not None and settings.watchdog_s:
+            timeout, is_on = (self._endpoints.named(self.name, name).id for name in WATCHDOG)
+            self._watchdog = (timeout, is_on)
+        #: The result of the last procedure (firmware 0.6).
+        self.result = "success"
         #: Whether it was told to watch over its host, and has not been stopped since.
         self._watches = False
         if not self.is_new:
@@ -220,6 +260,7 @@ class Odrive(SingleMotor):
         """Take from a heartbeat whether the axis is on, and its errors."""
         if type(record).__name__ == "Heartbeat":
             self.beats += 1
+            self.result = str(record.result) if self.is_new else self.result
             faults = set(record.error)
             if not self.is_new:
                 parts = {"motor": record.motor, "encoder": record.encoder, "controller": record.controller}
@@ -250,7 +291,7 @@ class Odrive(SingleMotor):
         loss, wait_s = self.when_host_is_lost, self.settings.watchdog_s
         if wait_s is None:
             return loss
-        how = "`enable` sets it" if self.settings.watchdog_endpoints else "as the robot's file says"
+        how = "`enable` sets it" if self._watchdog else "as the robot's file says"
         return replace(loss, does="limp", after_s=wait_s, detail=how)
 
     @property
@@ -260,23 +301,35 @@ class Odrive(SingleMotor):
 
     def _watch_over_host(self) -> Steps:
         """Set the axis' own watchdog where its numbers are known, and see that it is set."""
-        settings = self.settings
-        if settings.watchdog_endpoints is None or settings.watchdog_s is None:
+        wanted = self.settings.watchdog_s
+        if self._watchdog is None or wanted is None:
+            return
+        yield from self._check_firmware()
+        timeout, is_on = self._watchdog
+        yield self._written(timeout, "float", wanted)
+        self._watches = True
+        yield self._written(is_on, "bool", True)
+        wait_s, is_set = (yield from self._value(timeout, "float")), (yield from self._value(is_on, "bool"))
+        if abs(wait_s - wanted) > 1e-3 * wanted or not is_set:
+            raise DeviceError(f"{self.name}: its watchdog is not set: it says {wait_s:g} s, on: {is_set}")
+
+    def _check_firmware(self) -> Steps:
+        """See that numbers are those of its firmware. Raise `DeviceError` for another one, whose numbers are others."""
+        if self._is_known:
             return
         version = yield self.version()
         found = f"{version.major}.{version.minor}.{version.revision}"
-        if found != settings.firmware:
+        if found != self._firmware:
             raise DeviceError(
-                f"{self.name} has firmware {found}, and watchdog_endpoints are those of {settings.firmware}: take them from"
-                f" the endpoint file of {found}"
+                f"{self.name} has firmware {found}, and its endpoints are those of {self._firmware}: take the endpoint file"
+                f" of {found}"
             )
-        timeout, is_on = settings.watchdog_endpoints
-        yield self.write(timeout, settings.watchdog_s, confirm=True)
-        self._watches = True
-        yield self.write(is_on, True, confirm=True, type="bool")
-        wait_s, is_set = (yield self.read(timeout)), (yield self.read(is_on, "bool"))
-        if abs(wait_s - settings.watchdog_s) > 1e-3 * settings.watchdog_s or not is_set:
-            raise DeviceError(f"{self.name}: its watchdog is not set: it says {wait_s:g} s, on: {is_set}")
+        self._is_known = True
+
+    def forget(self) -> None:
+        """See `SingleMotor.forget`; its firmware may be another one then."""
+        super().forget()
+        self._is_known = False
 
     def stay(self) -> None:
         """Hold the present position; no velocity, no torque."""
@@ -299,9 +352,9 @@ class Odrive(SingleMotor):
     def switch_off(self) -> Ticket:
         """Switch to idle; the watchdog ends, for nothing feeds an axis that is off."""
         ticket = self.send_now("SetAxisState", state="idle")
-        if self._watches and self.settings.watchdog_endpoints is not None:
+        if self._watches and self._watchdog is not None:
             self._watches = False
-            self.write(self.settings.watchdog_endpoints[1], False, confirm=True, type="bool")
+            self._written(self._watchdog[1], "bool", False)
         return ticket
 
     def ask_state(self) -> Awaited:
@@ -336,19 +389,22 @@ class Odrive(SingleMotor):
         self.end_set_points()
         return self.send_now("Estop")
 
-    def calibrate(self) -> Job:
-        """Calibrate fully; the motor moves. Fails with `DeviceError` when it does not succeed."""
+    def calibrate(self, procedure: str = "full_calibration") -> Job:
+        """Calibrate; the motor moves. Fails with `DeviceError` when it does not succeed. Raises `UnknownNameError`."""
+        if procedure not in PROCEDURES:
+            raise UnknownNameError(f"procedure of {self.name}", procedure, PROCEDURES)
         self.is_driven = True
 
         def steps(job: Job) -> Steps:
             yield self.ask_state()
             self.check_off("it can be calibrated")
-            yield self.send("SetAxisState", state="full_calibration")
+            yield self.send("SetAxisState", state=procedure)
             yield self.ask_state()
             state = self.signals[f"{self.name}.state"]
             yield self.until(lambda: state.last == "idle", CALIBRATION_S, lambda: "calibration does not end")
-            if self.faults:
-                raise DeviceError(f"{self.name}: calibration failed: {', '.join(sorted(self.faults))}")
+            if self.faults or self.result != "success":
+                why = ", ".join(sorted(self.faults)) or self.result
+                raise DeviceError(f"{self.name}: {procedure} failed: {why}")
 
         return self.lead("calibrate", steps)
 
@@ -393,29 +449,70 @@ class Odrive(SingleMotor):
         """Ask for the versions of hardware and firmware."""
         return self.ask("GetVersion", reply="Version")
 
-    def read(self, endpoint: int, type: str = "float") -> Job:
-        """Read a parameter by its number in this firmware's endpoint file. Raises `CallerError` for an unknown type."""
-        code = _code(self.name, type)
+    def _endpoint(self, endpoint: int | str, type: str) -> Endpoint:
+        """Return a parameter by its name in the endpoint file, or by number and type. Raises `CallerError`."""
+        if isinstance(endpoint, str) and not endpoint.isdigit():
+            if self._endpoints is None:
+                raise CallerError(
+                    f"{self.name}: {endpoint} is a name: say settings endpoints = the flat_endpoints.json of its firmware"
+                )
+            return self._endpoints.named(self.name, endpoint)
+        type = type or "float"
+        if type not in TYPES:
+            raise CallerError(f"{self.name}: no type {type!r} (there are: {', '.join(TYPES)})")
+        return Endpoint(int(endpoint), type)
+
+    def read(self, endpoint: int | str, type: str = "") -> Job:
+        """Read a parameter by name (setting `endpoints`), or by its number in this firmware's endpoint file and its type.
+
+        Fails with `DeviceError`, also where the drive has another firmware than the file. Raises `CallerError`.
+        """
+        found = self._endpoint(endpoint, type)
 
         def steps(job: Job) -> Steps:
-            record = yield self.ask("RxSdo", reply="TxSdo", opcode="read", endpoint=int(endpoint))
-            if record.endpoint != int(endpoint) or len(record.value) < struct.calcsize(code):
-                raise DeviceError(
-                    f"{self.name}: asked for endpoint {endpoint} ({type}), it answered {record}"
-                )
-            return struct.unpack_from(code, record.value)[0]
+            if isinstance(endpoint, str) and not endpoint.isdigit():
+                yield from self._check_firmware()
+            return (yield from self._value(found.id, found.type))
 
         return self.job(f"read {endpoint}", steps)
 
-    def write(self, endpoint: int, value: float, *, confirm: bool, type: str = "float") -> Ticket:
-        """Write a parameter. A number of another firmware is another parameter: `version` first."""
+    def write(self, endpoint: int | str, value: float, confirm: bool, type: str = "") -> Job:
+        """Write a parameter, until it boots anew, and see that it is written; arguments as of `read`.
+
+        Fails with `DeviceError` when the drive has another value then. Raises `CallerError`.
+        """
         if confirm is not True:
             raise CallerError(
-                f"{self.name}: say confirm=True; endpoint {endpoint} is another parameter in another firmware"
+                f"{self.name}: say confirm=True; a parameter can move the motor, or change its limits"
             )
-        code = _code(self.name, type)
-        data = struct.pack(code, value if code == "<f" else int(value))
-        return self.send("RxSdo", opcode="write", endpoint=int(endpoint), value=data)
+        found = self._endpoint(endpoint, type)
+        if "w" not in found.access:
+            raise CallerError(f"{self.name}: {endpoint} can only be read")
+        given = endpoint_value(found.type, endpoint_bytes(found.type, value))
+
+        def steps(job: Job) -> Steps:
+            if isinstance(endpoint, str) and not endpoint.isdigit():
+                yield from self._check_firmware()
+            yield self._written(found.id, found.type, value)
+            yield CONFIRMATION_NS
+            now = yield from self._value(found.id, found.type)
+            if now != given and not (now != now and given != given):
+                raise DeviceError(f"{self.name}: {endpoint} was written {given}, and is {now}")
+
+        return self.job(f"write {endpoint}", steps)
+
+    def _written(self, number: int, type: str, value: float) -> Ticket:
+        return self.send("RxSdo", opcode="write", endpoint=number, value=endpoint_bytes(type, value))
+
+    def _value(self, number: int, type: str) -> Steps:
+        for _ in range(ANOTHERS):
+            record = yield self.ask("RxSdo", reply="TxSdo", opcode="read", endpoint=number)
+            if record.opcode == 0 and record.endpoint == number:  # else it confirms a write, or answers late
+                value = endpoint_value(type, record.value)
+                if value is None:
+                    raise DeviceError(f"{self.name}: endpoint {number} is no {type}: it answered {record}")
+                return value
+        raise DeviceError(f"{self.name}: asked for endpoint {number}, it answers others")
 
     def reboot(self) -> Ticket:
         """Boot anew: it is off then, and has forgotten what was not saved."""
@@ -431,12 +528,6 @@ class Odrive(SingleMotor):
         self.end_led()
         self.end_set_points()
         return self.send("Reboot", **({"action": action} if self.is_new else {}))
-
-
-def _code(who: str, type: str) -> str:
-    if type not in TYPES:
-        raise CallerError(f"{who}: no type {type!r} (there are: {', '.join(TYPES)})")
-    return f"<{TYPES[type]}"
 
 
 #: Both firmwares, a joint a mode; only the first sends its position by itself.

@@ -2,7 +2,8 @@
 
 1. It speaks by itself as a drive from the factory does: heartbeat every 100 ms, estimates every 10 ms (can-protocol.rst).
 2. Its motor moves the joint through the joint's gear; friction and inertia are `joint_model`'s choices.
-3. Calibration takes half a second and moves nothing; a drive's takes longer, and turns the motor.
+3. Calibration takes half a second, and where it needs the rotor turns the motor there and back; a drive's takes longer.
+4. Parameters are lost when it boots, but for those that were saved; with an endpoint file it has those of the file.
 """
 
 from __future__ import annotations
@@ -16,11 +17,18 @@ from typing import Any, ClassVar
 from aces_bus.device import Twin, on
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
-from aces_protocols.odrive.spec import Node
+from aces_protocols.odrive.spec import RESULTS, STATES, Node
 
 from ..joint_model import JAM, MotorModel, jam, joint_of
+from .endpoints import TYPES, WATCHDOG, endpoint_bytes, read_endpoints
 
 HEARTBEAT_S, ESTIMATES_S, CALIBRATION_S = 0.1, 0.01, 0.5
+#: Procedures that turn the motor, and how fast (rev/s): choices.
+TURNING, TURNING_REV_S = frozenset(("full_calibration", "index_search", "offset_calibration")), 1.0
+#: From this firmware on a write is confirmed (ODriveResources can_restore_config.py).
+CONFIRMS = (0, 6, 11)
+#: How far the motor must have got on the way there for its calibration to succeed (rev).
+LEAST_TURN = 0.05
 #: What the twin's controllers hold with, at the joint: N·m/rad, N·m·s/rad. Choices.
 STIFFNESS, DAMPING = 150.0, 3.0
 MOTOR = MotorModel(speed=25.0, stall_current=40.0, torque_constant=0.5)
@@ -28,15 +36,17 @@ VOLTAGE = 24.0
 
 
 class OdriveTwin(Twin):
-    """One axis. `parameters` holds what was written over CAN, by endpoint."""
+    """One axis. `parameters` holds what was written over CAN, by endpoint; `stored` what of it outlives power-off."""
 
     protocol = "odrive"
     faults: ClassVar = {
         **JAM,
         "over_temperature": "the inverter is too hot: the axis disarms, and stays so until errors are cleared",
-        "uncalibrated": "does not close its loop",
+        "uncalibrated": "does not close its loop until a full calibration has succeeded",
         "no_heartbeat": "sends no heartbeat",
     }
+
+    stored: dict[int, bytes] | None = None
 
     def setup(self) -> None:
         """Begin idle, without errors, at the present place."""
@@ -50,7 +60,15 @@ class OdriveTwin(Twin):
         #: What is added to the motor's turns, as zero was set.
         self.offset = 0.0
         self.target = 0.0
-        self.parameters: dict[int, bytes] = {}
+        self.parameters: dict[int, bytes] = dict(self.stored or {})
+        path = self.config.settings.get("endpoints")
+        self.endpoints = None if path is None else read_endpoints(self.name, path)
+        version = "0.6.10" if self.endpoints is None else self.endpoints.fw_version
+        self.firmware = tuple(int(part) for part in version.split("."))
+        #: The names of the endpoint file by number.
+        self.named = (
+            {} if self.endpoints is None else {one.id: name for name, one in self.endpoints.endpoints.items()}
+        )
         #: When a message came last (ns), and whether somebody looks how long ago that was.
         self.fed_at, self._is_watched = self.clock.now(), False
         self.every(HEARTBEAT_S, self.beat)
@@ -114,9 +132,10 @@ class OdriveTwin(Twin):
             case "MotorError" | "EncoderError" | "SensorlessError" | "ControllerError":
                 return {"error": 0}
             case "Version":
+                major, minor, revision = self.firmware
                 return {
-                    "protocol_version": 2, "hardware_line": 4, "hardware_version": 4, "hardware_variant": 58, "major": 0,
-                    "minor": 6, "revision": 10, "unreleased": 0,
+                    "protocol_version": 2, "hardware_line": 4, "hardware_version": 4, "hardware_variant": 58,
+                    "major": major, "minor": minor, "revision": revision, "unreleased": 0,
                 }  # fmt: skip
             case "Address":
                 return {
@@ -139,7 +158,10 @@ class OdriveTwin(Twin):
         """The time (ns) after which it disarms without a message; 0: its watchdog is off."""
         settings = self.config.settings
         numbers: Sequence[int] | None = settings.get("watchdog_endpoints")
-        if numbers is None:
+        if numbers is None and self.endpoints is not None:
+            known = [self.endpoints.endpoints.get(name) for name in WATCHDOG]
+            numbers = [one.id for one in known if one is not None]
+        if numbers is None or len(numbers) < 2:
             return round(float(settings.get("watchdog_s", 0.0)) * 1e9)
         wait, is_on = (self.parameters.get(number, bytes(4)) for number in numbers)
         seconds: float = unpack("<f", wait)[0]
@@ -207,15 +229,35 @@ class OdriveTwin(Twin):
             self.state = state
             self.drive()
             self.watch()
-        elif state == "full_calibration" and not self.errors:
+        elif state.endswith("calibration") or state == "index_search":
+            if self.errors:
+                self.go_idle("disarmed")
+                return
             self.state, self.result = state, "busy"
-            self.clock.call_in(round(CALIBRATION_S * 1e9), self.calibrated)
+            self._began_at = self.turns
+            self._turn(TURNING_REV_S)
+            half = round(CALIBRATION_S * 0.5e9)
+            self.clock.call_in(half, lambda: self._turn_back(state))
+            self.clock.call_in(2 * half, lambda: self.calibrated(state))
         else:
             self.go_idle()
 
-    def calibrated(self) -> None:
-        """End a calibration."""
-        if self.state == "full_calibration":
+    def _turn(self, speed: float) -> None:
+        if self.state in TURNING:
+            self.motor.impede(self.clock.now(), 0.0, self.scale.speed(speed), 0.0, 4 * DAMPING, 0.0)
+
+    def _turn_back(self, state: str) -> None:
+        if self.state == state:
+            if state in TURNING and abs(self.turns - self._began_at) < LEAST_TURN:
+                self.go_idle("no_response")
+                return
+            self._turn(-TURNING_REV_S)
+
+    def calibrated(self, state: str) -> None:
+        """End a procedure."""
+        if self.state == state:
+            if state == "full_calibration":
+                self.active_faults.pop("uncalibrated", None)
             self.go_idle()
 
     @on("Estop")
@@ -230,7 +272,10 @@ class OdriveTwin(Twin):
 
     @on("Reboot")
     def boot(self, request: Record) -> None:
-        """Boot: off and on."""
+        """Boot: off and on; first keep or forget the parameters, if that was said."""
+        action = getattr(request, "action", "reboot")
+        if action != "reboot":
+            self.stored = dict(self.parameters) if action == "save" else None
         self.reboot()
 
     # ------------------------------------------------------------------ control
@@ -293,8 +338,31 @@ class OdriveTwin(Twin):
 
     @on("RxSdo")
     def access(self, request: Record) -> None:
-        """Read or write a parameter; of what was never written four zero bytes."""
-        if request.opcode == "write":
-            self.parameters[request.endpoint] = bytes(request.value)
-        value = self.parameters.get(request.endpoint, bytes(4))
-        self.reply("TxSdo", opcode=int(request.opcode == "write"), endpoint=request.endpoint, value=value)
+        """Read or write a parameter; of what was never written zeros. One that its file has not is not answered."""
+        number = request.endpoint
+        name = self.named.get(number, "")
+        one = self.endpoints.endpoints.get(name) if self.endpoints is not None else None
+        if self.endpoints is not None and (one is None or one.type not in TYPES):
+            return
+        type = one.type if one is not None else ""
+        empty = endpoint_bytes(type, 0) if type else bytes(4)
+        if request.opcode == "write" and (one is None or "w" in one.access):
+            given = bytes(request.value)
+            self.parameters[number] = given[: len(empty)].ljust(len(empty), b"\0") if type else given
+        measured = self.measured(name)
+        if request.opcode == "write" and self.firmware < CONFIRMS:
+            return
+        value = self.parameters.get(number, empty) if measured is None else endpoint_bytes(type, measured)
+        self.reply("TxSdo", opcode=int(request.opcode == "write"), endpoint=number, value=value)
+
+    def measured(self, name: str) -> float | None:
+        """Return the value of a parameter that is measured; None for others."""
+        match name:
+            case "vbus_voltage":
+                return VOLTAGE
+            case "axis0.current_state":
+                return STATES[self.state]
+            case "axis0.procedure_result":
+                return RESULTS[self.result]
+            case _:
+                return None

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from random import Random
 from typing import ClassVar
 
@@ -29,31 +30,32 @@ _KIND = {name: kind for kind, (names, _) in KINDS.items() for name in names}
 _FAULTS = ("under_voltage", "over_current", "over_temperature", "magnetic_encoder", "uncalibrated")
 
 
-class RobstrideTwin(Twin):
-    """One motor. `parameters` by name; `state` is reset or run."""
+class RobstrideMotor(Twin):
+    """What the twins of both protocols have: a motor with a zero, on or off, with faults that switch it off.
 
-    protocol = "robstride"
+    `spec` has what the spec's numbers are at full scale, `ranges` what those of the motor are; `choose_ranges` sets both.
+    """
+
     faults: ClassVar = JAM | {name: f"reports {name}, and is off until it is cleared" for name in _FAULTS}
     reply_delay_ns = 30_000
+    spec: Sequence[float]
+    ranges: Sequence[float]
+
+    def choose_ranges(self) -> None:
+        """Set `spec` and `ranges`, as dialect, model and settings say."""
+        raise NotImplementedError
 
     def setup(self) -> None:
-        """Begin stopped, in run mode motion, with the motor's own zero."""
-        dialect = str(self.variant.dialect)
-        self.spec = DIALECTS[dialect]
-        model = "CyberGear" if dialect == FAMILY else dialect
-        self.ranges = self.config.settings.get("ranges") or MODELS.get(
-            self.config.model or model, MODELS["RS02"]
-        )
+        """Begin stopped, with the motor's own zero."""
+        self.choose_ranges()
         self.scale = JointScale.of(self.joints[0] if self.joints else None)
         speed, torque = self.ranges[1] / self.scale.ratio, self.ranges[2] * self.scale.ratio
         self.motor = joint_of(
             self,
             MotorModel(speed=speed, stall_current=torque / TORQUE_CONSTANT, torque_constant=TORQUE_CONSTANT),
         )
-        self.state, self.host, self.offset = "reset", 0xFD, 0.0
+        self.state, self.offset = "reset", 0.0
         self.failed: frozenset[str] = frozenset()
-        self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
-        self._watch: Timer | None = None
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """See `Twin.fault`."""
@@ -66,19 +68,90 @@ class RobstrideTwin(Twin):
         self.motor.place(self.clock.now(), self.scale.angle(angle - self.offset))
         self.motor.temperature = AMBIENT + dice.uniform(0.0, 100.0) * share
 
-    # ------------------------------------------------------------------ what it says
-
     @property
     def angle(self) -> float:
         """Position of the motor (rad)."""
         return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
 
-    def look(self) -> None:
-        """Switch off at a new fault, and report it."""
-        new = {fault for fault in _FAULTS if fault in self.active_faults} - self.failed
+    def measured(self) -> list[float]:
+        """Return position, velocity and torque in the numbers of the spec, limited to its ranges."""
+        angle, scale, motor = self.angle, self.scale, self.motor
+        raw = (angle, scale.raw_speed(motor.v), scale.raw_torque(motor.torque))
+        return [
+            max(-unit, min(unit, value / whole * unit))
+            for value, whole, unit in zip(raw, self.ranges, self.spec, strict=False)
+        ]
+
+    def new_faults(self) -> frozenset[str]:
+        """Switch off at faults that are new, and return them."""
+        new = frozenset(fault for fault in _FAULTS if fault in self.active_faults) - self.failed
         if new:
             self.failed |= new
             self.go_off()
+        return new
+
+    def go_off(self) -> None:
+        """Give way."""
+        self.state = "reset"
+        self.motor.free(self.clock.now())
+
+    def power(self, on: bool) -> None:
+        """See `Twin.power`."""
+        if not on:
+            self.go_off()
+        super().power(on)
+
+    def impede(self, request: Record) -> None:
+        """Apply the MIT law of a command."""
+        position, velocity, torque, kp, kd = (
+            getattr(request, name) * whole / unit
+            for name, whole, unit in zip(
+                ("position", "velocity", "torque", "kp", "kd"), self.ranges, self.spec, strict=True
+            )
+        )
+        scale = self.scale
+        goal, speed = scale.angle(position - self.offset), scale.speed(velocity)
+        self.motor.impede(self.clock.now(), goal, speed, scale.gain(kp), scale.gain(kd), scale.torque(torque))
+
+    def go_to(self, angle: float) -> None:
+        """Hold an angle of the motor (rad)."""
+        scale = self.scale
+        goal = scale.angle(angle - self.offset)
+        self.motor.impede(self.clock.now(), goal, 0.0, scale.gain(STIFFNESS), scale.gain(DAMPING), 0.0)
+
+    def turn(self, speed: float) -> None:
+        """Turn so fast (rad/s at the motor)."""
+        scale = self.scale
+        self.motor.impede(self.clock.now(), 0.0, scale.speed(speed), 0.0, scale.gain(DAMPING), 0.0)
+
+
+class RobstrideTwin(RobstrideMotor):
+    """One motor on the private protocol. `parameters` by name; `state` is reset or run."""
+
+    protocol = "robstride"
+
+    def choose_ranges(self) -> None:
+        """See `RobstrideMotor.choose_ranges`."""
+        dialect = str(self.variant.dialect)
+        self.spec = DIALECTS[dialect]
+        model = "CyberGear" if dialect == FAMILY else dialect
+        self.ranges = self.config.settings.get("ranges") or MODELS.get(
+            self.config.model or model, MODELS["RS02"]
+        )
+
+    def setup(self) -> None:
+        """Begin stopped, in run mode motion."""
+        super().setup()
+        self.host = 0xFD
+        self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
+        self._watch: Timer | None = None
+
+    # ------------------------------------------------------------------ what it says
+
+    def look(self) -> None:
+        """Switch off at a new fault, and report it."""
+        new = self.new_faults()
+        if new:
             bits = [fault for fault in new if fault in ("under_voltage", "uncalibrated")]
             self.reply("FaultReport", host=self.host, faults=bits, warnings=[])
 
@@ -86,19 +159,14 @@ class RobstrideTwin(Twin):
         """Send position, velocity, torque, temperature; state and faults."""
         self.host = getattr(request, "host", self.host)
         self.look()
-        angle, scale, motor = self.angle, self.scale, self.motor
-        measured = (angle, scale.raw_speed(motor.v), scale.raw_torque(motor.torque))
-        shares = [
-            max(-unit, min(unit, value / whole * unit))
-            for value, whole, unit in zip(measured, self.ranges[:3], self.spec[:3], strict=True)
-        ]
+        shares = self.measured()
         fields = self.variant["Feedback"].fields
         faults = {
             name: int(name in self.failed) for name in (*_FAULTS, "hall_encoder", "stalled") if name in fields
         }
         self.reply(
             "Feedback", host=self.host, state=self.state, position=shares[0], velocity=shares[1], torque=shares[2],
-            temperature=motor.temperature, **faults,
+            temperature=self.motor.temperature, **faults,
         )  # fmt: skip
 
     @on("GetId")
@@ -128,17 +196,6 @@ class RobstrideTwin(Twin):
             self.go_off()
 
     # ------------------------------------------------------------------ switching
-
-    def go_off(self) -> None:
-        """Give way."""
-        self.state = "reset"
-        self.motor.free(self.clock.now())
-
-    def power(self, on: bool) -> None:
-        """See `Twin.power`."""
-        if not on:
-            self.go_off()
-        super().power(on)
 
     @on("Enable")
     def enable(self, request: Record) -> None:
@@ -170,17 +227,7 @@ class RobstrideTwin(Twin):
     def command(self, request: Record) -> None:
         """Apply the MIT law, in run mode motion."""
         if self.state == "run" and self.parameters["run_mode"] == 0:
-            position, velocity, torque, kp, kd = (
-                getattr(request, name) * whole / unit
-                for name, whole, unit in zip(
-                    ("position", "velocity", "torque", "kp", "kd"), self.ranges, self.spec, strict=True
-                )
-            )
-            scale = self.scale
-            goal, speed = scale.angle(position - self.offset), scale.speed(velocity)
-            self.motor.impede(
-                self.clock.now(), goal, speed, scale.gain(kp), scale.gain(kd), scale.torque(torque)
-            )
+            self.impede(request)
         self.feedback()
 
     def drive(self) -> None:
@@ -188,10 +235,9 @@ class RobstrideTwin(Twin):
         now, scale, given = self.clock.now(), self.scale, self.parameters
         match given["run_mode"]:
             case 1:
-                goal = scale.angle(given["loc_ref"] - self.offset)
-                self.motor.impede(now, goal, 0.0, scale.gain(STIFFNESS), scale.gain(DAMPING), 0.0)
+                self.go_to(given["loc_ref"])
             case 2:
-                self.motor.impede(now, 0.0, scale.speed(given["spd_ref"]), 0.0, scale.gain(DAMPING), 0.0)
+                self.turn(given["spd_ref"])
             case 3:
                 self.motor.impede(
                     now, 0.0, 0.0, 0.0, 0.0, scale.direction * given["iq_ref"] * TORQUE_CONSTANT

@@ -1,0 +1,1 @@
+"""RobStride motors, MIT protocol."""
