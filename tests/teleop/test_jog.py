@@ -84,15 +84,33 @@ def test_another_joint_and_a_stop_end_the_motion() -> None:
     made.choose(1)
     assert made.step(50 * MS) == {"A": 0.0}
     made.press(1.0)
-    assert list(made.step(60 * MS)) == ["B"]
+    assert list(made.step(60 * MS)) == ["A", "B"]
     made.press(0.0)
     assert made.step(70 * MS) == {"B": 0.0}
     made.choose(1)
     made.press(0.5)
-    assert made.step(80 * MS) == {"W.velocity": 1.0}
+    assert made.step(80 * MS) == {"A": 0.0, "B": 0.0, "W.velocity": 1.0}
     assert made.step(300 * MS) == {"W.velocity": 0.0}
     made.choose(-2)
     assert made.chosen == "A"
+
+
+def test_another_joint_is_chosen_without_a_word_of_the_guard() -> None:
+    """The one that stands still is given, too, where it stands: it is not forgotten while the other moves."""
+    robot, problems = parse_robot(ROBOT)
+    assert robot is not None, problems
+    names = list(robot.joints)[:2]
+    hand = Jog(commanded(robot, names), dict.fromkeys(names, 0.5), rate_hz=200)
+    with run_virtual(robot, [hand]) as run:
+        run.do("enable")
+        run.start()
+        for _ in names:
+            for _ in range(6):
+                hand.press(1.0)
+                run.clock.wait(lambda: False, 100 * MS)
+            hand.choose(1)
+        assert not [event for event in run.events if event.kind == "unnamed"]
+        assert all(run.rig.signals[f"{name}.position"].value > 0.05 for name in names)
 
 
 def test_a_joint_of_which_nothing_is_known_does_not_move() -> None:

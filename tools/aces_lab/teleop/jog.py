@@ -44,7 +44,8 @@ MIDDLE = 0.15
 class Jog(Controller):
     """Moves the chosen joint at `speed` (by joint: rad/s, m/s, or the unit of what it takes) while `press` says so.
 
-    `writes` are states as `commanded` has them: "RHP" takes positions, all others stand still at 0.
+    `writes` are states as `commanded` has them: "RHP" takes positions, all others stand still at 0. While a joint moves, those
+    that moved before are given where they stand.
     """
 
     def __init__(self, writes: Mapping[str, str], speeds: Mapping[str, float], *, rate_hz: float) -> None:
@@ -61,6 +62,8 @@ class Jog(Controller):
         self._until = 0
         self._moving = ""
         self._goal = 0.0
+        #: Set-points of the joints that have moved and stand still, by state.
+        self._held: dict[str, float] = {}
         self._before = 0
         #: What has been asked for beside motion.
         self.is_over = False
@@ -91,6 +94,7 @@ class Jog(Controller):
         """End: nothing moves."""
         super().stop(now)
         self._moving = ""
+        self._held.clear()
 
     def step(self, now_ns: int) -> Mapping[str, float]:
         """Return the set-point of the joint that moves, and once that of one that is to stand still."""
@@ -104,6 +108,7 @@ class Jog(Controller):
         given: dict[str, float] = {}
         if self._moving and (self._moving != joint or not is_moving):
             given.update(self._standing(self._moving))
+            self._held.update(given)
             self._moving = ""
         if not is_moving:
             return given or NOTHING
@@ -120,7 +125,9 @@ class Jog(Controller):
             self._goal += speed * dt
             given[state] = self._goal
         self._moving = joint
-        return given
+        # A joint that is left out while others are given counts as forgotten (the guard's `unnamed`).
+        self._held.pop(state, None)
+        return {**self._held, **given}
 
     def _standing(self, joint: str) -> dict[str, float]:
         """Return the set-point at which a joint stands still: a position is held where it is measured."""
