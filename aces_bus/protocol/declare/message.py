@@ -587,7 +587,7 @@ class Message:
 
     @cached_property
     def is_filled_up(self) -> bool:
-        """Whether the last field, left out when sending, takes the zeros that make the packet a framing's `multiple=`."""
+        """True if the last field, left out when sending, takes the zeros that make the packet a framing's `multiple=`."""
         last = self.payload
         if isinstance(last, c.Struct) and last.subcons:
             last = last.subcons[-1]
