@@ -44,8 +44,8 @@ MIDDLE = 0.15
 class Jog(Controller):
     """Moves the chosen joint at `speed` (by joint: rad/s, m/s, or the unit of what it takes) while `press` says so.
 
-    `writes` are states as `commanded` has them: "RHP" takes positions, all others stand still at 0. While a joint moves, those
-    that moved before are given where they stand.
+    `writes` are states as `commanded` has them: "RHP" takes positions, all others stand still at 0. While a joint moves,
+    those that moved before are given where they stand.
     """
 
     def __init__(self, writes: Mapping[str, str], speeds: Mapping[str, float], *, rate_hz: float) -> None:
