@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from construct import Array, Byte, Int16ul, Int32sl, Struct
+from construct import Array, Byte, Int16sl, Int16ul, Int32sl, Struct
 
 from aces_bus import Frame
 from aces_bus.errors import FieldError
-from aces_bus.protocol import BitLayout, Flags, IdField, Protocol, Quantity, bits
+from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Protocol, Quantity, Variant, bits
 from aces_bus.protocol.generate.load import decoders_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -100,6 +100,57 @@ def test_a_printed_encoder_builds_what_construct_builds() -> None:
         assert bytes(frame.data) == variant["Position"].struct.build(fields)[5:]
     fields = {"mode": 5, "speed": -3.5, "level": 511}
     assert bytes(variant.encoder.encode("Mode", **fields).data) == variant["Mode"].struct.build(fields)[5:]
+
+
+def nested() -> Variant:
+    """A message with records inside, bits without a field among them, and flags."""
+    made = Protocol("nested", link="can")
+    error = BitLayout(
+        1, "code" / Enumeration(bits(3), fine=0, hot=1), "lamps" / Flags(bits(3), red=0, green=2)
+    )
+    made.message(
+        "Status",
+        id=0x10,
+        payload=Struct("error" / error, "place" / Struct("x" / Int16ul, "y" / Quantity(Int16sl, scale=0.1))),
+    )
+    return made.variant()
+
+
+@pytest.mark.parametrize("lamps", [["red"], ["green", "red", "green"], (), {"green"}, 7, "red", ""])
+@pytest.mark.parametrize("more", [{}, {"reserved": 0xC0}])
+def test_records_and_flags_are_built_as_construct_builds_them(lamps: Any, more: dict[str, int]) -> None:
+    """Names of flags in any order and collection, a number, a single name; bits without a field where they are given."""
+    variant = nested()
+    assert variant.encoder.through_construct == {}
+    fields = {"error": {"code": "hot", "lamps": lamps, **more}, "place": {"x": 65_535, "y": -0.3}}
+    frame = variant.encoder.encode("Status", **fields)
+    assert bytes(frame.data) == variant["Status"].struct.build(fields)[5:]
+
+
+@pytest.mark.parametrize(
+    ("error", "place", "complaint"),
+    [
+        ({"code": "hot", "lamps": ["blue"]}, {"x": 1, "y": 1}, "no flag named 'blue'"),
+        ({"code": "hot", "lamps": "rd"}, {"x": 1, "y": 1}, "no flag named 'rd'"),
+        ({"code": "hot"}, {"x": 1, "y": 1}, "lamps"),
+        ({"code": "hot", "lamp": 1}, {"x": 1, "y": 1}, "lamp"),
+        ({"code": 8, "lamps": 0}, {"x": 1, "y": 1}, "code"),
+        ({"code": 0, "lamps": 0}, {"x": 65_536, "y": 1}, "x: 65536 is outside 0…65535"),
+        (None, {"x": 1, "y": 1}, "NoneType"),
+    ],
+)
+def test_a_value_in_a_record_that_does_not_fit_is_named(error: Any, place: Any, complaint: str) -> None:
+    """What is in a record is as strict as what is not, and explained by construct."""
+    with pytest.raises(FieldError, match=complaint):
+        nested().encoder.encode("Status", error=error, place=place)
+
+
+def test_a_record_whose_fields_share_bits_is_built_by_construct() -> None:
+    """Which of them is sent, construct says."""
+    made = Protocol("shared", link="can")
+    both = BitLayout(1, "low" / bits(4), "all" / bits(8, at=0), overlapping=True)
+    made.message("Both", id=0x11, payload=Struct("both" / both))
+    assert made.variant().encoder.through_construct == {"Both": "its fields share bits"}
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ The function is `encode_Name(fields)`; it gives the identifier (None on streams)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -73,8 +73,6 @@ class _Encoder(FunctionSetup):
             raise NoEncoder("a list of items")
         if message.counters:
             raise NoEncoder("it has a rolling counter")
-        if getattr(message.payload, "overlapping", False):
-            raise NoEncoder("its fields share bits")
         names = [f.name for f in plan.fields if not f.node.is_of_request]
         out.line(f"def {self.function}(fields):")
         out.depth = 1
@@ -97,21 +95,35 @@ class _Encoder(FunctionSetup):
                     "    raise Unusual",
                 )
                 continue
-            if isinstance(node, p.Scalar):
-                scalars.append((node, field.name, f'fields["{field.name}"]'))
-            elif isinstance(node, p.Many):
-                variables = [self._temporary() for _ in node.items]
-                several = f"{', '.join(variables)}{',' if len(variables) == 1 else ''}" if variables else "()"
-                out.line(f'{several} = fields["{field.name}"]')
-                for item, variable in zip(node.items, variables, strict=True):
-                    if not isinstance(item, p.Scalar):
-                        raise NoEncoder("nested records")
-                    scalars.append((item, field.name, variable))
-            else:
-                raise NoEncoder("nested records")
+            scalars += self._scalars(node, field.name, f'fields["{field.name}"]')
         body = self._body(scalars, start)
         out.line(f"return {identifier if message.framing is None else 'None'}, {head}, {body}")
         return [*self.setup, *out.printed]
+
+    def _scalars(self, node: p.Node, name: str, value: str) -> list[tuple[p.Scalar, str, str]]:
+        """Return the numbers and bytes of a field with their names and the words of their values."""
+        if isinstance(node, p.Scalar):
+            return [(node, name, value)]
+        out, children = self.out, node.children
+        if isinstance(node, p.Many):
+            variables = [self._temporary() for _ in children]
+            several = f"{', '.join(variables)}{',' if len(variables) == 1 else ''}" if variables else "()"
+            out.line(f"{several} = {value}")
+        elif isinstance(node, p.NestedRecord):
+            children = [child for child in children if not child[1].node.is_unclaimed]
+            record = self._temporary()
+            out.lines(
+                f"{record} = {value}",
+                f"if len({record}) != {len(children)}:",
+                "    raise Unusual",
+            )
+            variables = [f'{record}["{field.name}"]' for _, field in children]
+        else:
+            raise NoEncoder("values of another shape")
+        found: list[tuple[p.Scalar, str, str]] = []
+        for (step, field), variable in zip(children, variables, strict=True):
+            found += self._scalars(field.node, name if isinstance(step, int) else f"{name}_{step}", variable)
+        return found
 
     def _temporary(self) -> str:
         self.temporaries += 1
@@ -152,6 +164,7 @@ class _Encoder(FunctionSetup):
         tail = ""
         cells: list[_Packed] = []
         words: dict[tuple[int, int], list[str]] = {}
+        shared: set[int] = set()
         for scalar, name, value in scalars:
             if scalar.size is None:
                 if scalar.kind == "text":
@@ -172,6 +185,9 @@ class _Encoder(FunctionSetup):
                     "    raise Unusual",
                 )
                 continue
+            if not shared.isdisjoint(scalar.bits):
+                raise NoEncoder("its fields share bits")
+            shared.update(scalar.bits)
             if scalar.kind == "float" and scalar.bits:
                 raise NoEncoder("a float that does not stand in whole bytes")
             number = self._raw(scalar, name, value)
@@ -280,10 +296,11 @@ class _Encoder(FunctionSetup):
                 text = self._of_two(step, text, name)
             elif isinstance(step, p.FlagBits):
                 variable = self._temporary()
+                flags = self._bound(f"_flags_{self.plan.name}_{name}", _flags_of(step), dict(step.bits))
                 self.out.lines(
                     f"{variable} = {text}",
                     f"if not isinstance({variable}, int):",
-                    "    raise Unusual",
+                    f"    {variable} = {flags}({variable})",
                 )
                 text = f"int({variable})"
         self.out.line(f"{number} = {text}")
@@ -384,6 +401,19 @@ class _Encoder(FunctionSetup):
         first = f"{self._spec_number(f'_least_{where}', low)} <= " if math.isfinite(low) else ""
         last = f" <= {self._spec_number(f'_most_{where}', high)}" if math.isfinite(high) else ""
         return f"not {first}{name}{last}" if first or last else ""
+
+
+@lru_cache(maxsize=None)
+def _flags_of(step: p.FlagBits) -> Callable[[Collection[str]], int]:
+    """Return what makes a number of the names of flags; it raises for other values."""
+    bits = dict(step.bits)
+
+    def flags(names: Collection[str]) -> int:
+        if isinstance(names, str):
+            raise TypeError(names)
+        return sum(1 << bits[name] for name in {*names})
+
+    return flags
 
 
 def _head_writer(head: Head) -> Callable[[dict[str, object]], bytes]:
