@@ -92,10 +92,10 @@ demo: $(VENV)/.demo ## decode the captures in examples/captures, draw a message;
 
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q
 
-test: $(VENV)/.dev ## run the tests but the slow ones (some four minutes on two cores); ARGS="-k name" to choose
+test: $(VENV)/.dev ## run the tests but the slow ones (some three minutes on two cores); ARGS="-k name" to choose
 	$(PYTEST) -m "not slow" $(ARGS)
 
-test-slow: $(VENV)/.dev ## the tests that take over half a second each: programs beside one another, long simulated runs
+test-slow: $(VENV)/.dev ## the other tests: programs beside one another, long simulated runs, three of four cases alike (tests/slow.toml)
 	$(PYTEST) -m slow $(ARGS)
 
 test-leaks: export ACES_COLLECT := 1

@@ -11,6 +11,9 @@ import difflib
 import gc
 import os
 import signal
+import tomllib
+import zlib
+from collections import Counter
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
@@ -69,33 +72,12 @@ collect_ignore = [
 ]
 collect_ignore_glob = ["golden/*", "data/*"]
 
-#: Cases that take over half a second, of tests whose other cases are quick: `make test-slow` runs these.
-SLOW_CASES = frozenset(
-    {
-        "test_behind_junk_without_ff[adc/minihubo_adc_part1.bin]",
-        "test_a_whole_recording_behind_junk[1-adc/minihubo_adc_part1.bin]",
-        "test_a_planted_fault_is_found_small_and_again[IsOneTooMuch-can]",
-        "test_a_planted_fault_is_found_small_and_again[Overflows-can]",
-        "test_a_flood_of_frames_costs_in_proportion[hubo:D08@hubo2plus-any]",
-        "test_a_flood_of_frames_costs_in_proportion[hubo:D08@hubo2plus-to_device]",
-        "test_a_garbled_request_does_not_make_a_twin_deaf[qik]",
-        "test_a_hostile_stream_reads_the_same_as_columns[pololu_qik-both]",
-        "test_cantools_decodes_what_we_decode[hubo:D08@hubo2]",
-        "test_cantools_decodes_what_we_decode[hubo:D12@hubo2plus]",
-        "test_every_packet_of_pymavlink_is_decoded_value_for_value[v1]",
-        "test_every_packet_of_pymavlink_is_decoded_value_for_value[v2]",
-        "test_every_kind_of_framing_and_check[ubx]",
-        "test_every_truncation[pcapng]",
-        "test_recordings_of_others[mip-imu.part.bin-1328-24]",
-        "test_scanners_and_encoders_agree_with_the_examples[hubo]",
-        "test_scenes_are_mostly_readable_and_never_only_that[pololu_qik]",
-        "test_signals_that_change_have_lanes[png]",
-        "test_they_move_and_stop[feetech]",
-        "test_what_broke_a_twin_once[odrive-SetNodeId]",
-        "test_what_is_explained_is_what_scanners_hear[rplidar:express-both]",
-        "test_what_is_explained_is_what_scanners_hear[rplidar:express-from_device]",
-    }
+#: What `make test` leaves to `make test-slow`: of each file functions or cases, and functions of which a share stays.
+LEFT: dict[str, dict[str, list[str]]] = tomllib.loads(
+    (ROOT / "tests" / "slow.toml").read_text(encoding="utf-8")
 )
+#: Of functions with many cases alike, one case in so many is quick.
+SHARE = 4
 
 Golden = Callable[[str, str], None]
 
@@ -128,11 +110,25 @@ def pytest_collect_file(file_path: Path) -> Generator[None, Any, Any]:
     return found
 
 
+def _mark_slow(items: list[pytest.Item]) -> None:
+    """Mark what tests/slow.toml leaves to `make test-slow`; of many cases alike by their places, before any are chosen."""
+    cases = Counter[str]()
+    for item in items:
+        file, _, name = item.nodeid.partition("::")
+        function = name.partition("[")[0]
+        slow = LEFT["slow"].get(file, ())
+        if name in slow or function in slow:
+            item.add_marker("slow")
+        elif function in LEFT["sampled"].get(file, ()):
+            place = zlib.crc32(f"{file}::{function}".encode()) + cases[file + function]
+            cases[file + function] += 1
+            if place % SHARE:
+                item.add_marker("slow")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.name in SLOW_CASES:
-            item.add_marker("slow")
+    _mark_slow(items)
     if PROFILE != "long":
         skip = pytest.mark.skip(reason="takes minutes: HYPOTHESIS_PROFILE=long, or `make test-long`")
         for item in items:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 
 from ..declare.bits import runs_of
 from ..declare.fields import raw_of_two, truncated
@@ -403,7 +403,7 @@ class _Encoder(FunctionSetup):
         return f"not {first}{name}{last}" if first or last else ""
 
 
-@lru_cache(maxsize=None)
+@cache
 def _flags_of(step: p.FlagBits) -> Callable[[Collection[str]], int]:
     """Return what makes a number of the names of flags; it raises for other values."""
     bits = dict(step.bits)
