@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo prove test test-slow test-real test-leaks mutants test-oracles test-lerobot test-urdf planted test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
+.PHONY: help venv demo prove test test-slow test-real test-leaks mutants test-oracles test-lerobot test-urdf planted test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget release compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -172,9 +172,13 @@ fleet: $(VENV)/.oracles ## fleets: workers that die among 200 recordings, stores
 	$(BIN)/python -m pytest tests/fleet --benchmark-disable -q $(ARGS)
 	$(BIN)/python -m tests.fleet.measure
 
+release: $(VENV)/.dev ## sdist, wheels and an SBOM in dist/, built twice, the same bytes; nothing is uploaded (minutes)
+	@$(PIP) --editable ".[release]"
+	$(BIN)/python -m tests.release --compiled
+
 compiled: $(VENV)/.dev ## the same sources, virtual time's modules compiled by mypyc, in build/compiled (minutes; needs gcc)
 	@$(BIN)/python -c 'import setuptools' 2>/dev/null || $(PIP) setuptools
-	$(BIN)/python tests/compiled.py
+	$(BIN)/python -m tests.compiled
 
 test-compiled: compiled ## the tests in the compiled build; ARGS="tests/robot" to choose
 	cd build/compiled && $(abspath $(BIN))/python -m pytest -n $(JOBS) --benchmark-disable -q $(or $(ARGS),tests)

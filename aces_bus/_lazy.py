@@ -12,17 +12,27 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec
 from threading import RLock
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 
 def lazy_names(
-    package: str, places: Mapping[str, str]
+    package: str, places: Mapping[str, str], deprecated: Mapping[str, str] = MappingProxyType({})
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the `__getattr__` and `__dir__` of `package`; `places` maps modules to their names, with blanks between."""
+    """Return the `__getattr__` and `__dir__` of `package`; `places` maps modules to their names, with blanks between.
+
+    `deprecated` maps names that are on their way out to those that take their place: using one warns (docs/stability.md).
+    """
     home = {name: module for module, names in places.items() for name in names.split()}
 
     def get(name: str) -> Any:
+        if name in deprecated:
+            from warnings import warn
+
+            new = deprecated[name]
+            text = f"{package}.{name} is deprecated and goes with the next minor version: use {package}.{new}"
+            warn(text, DeprecationWarning, stacklevel=2)
+            name = new
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(home[name], package), name)

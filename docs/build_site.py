@@ -93,7 +93,7 @@ CONTENTS: dict[str, list[str]] = {
     ],
     "Catalogue": ["catalogue/protocols", "catalogue/devices"],
     "Reference": ["commands/index", "api/index", "performance"],
-    "Inside": ["architecture", "plugins", "moved", "contributing", "pages"],
+    "Inside": ["architecture", "plugins", "stability", "moved", "contributing", "pages"],
 }
 _LINK = re.compile(r"(\[(?:[^\[\]]|\[[^\]]*\])*\])\((?!https?:|mailto:)([^)#\s]*)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import errno
 import gc
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,6 +20,7 @@ from functools import partial
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
+import aces_bus
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plugins import PluginWarning
@@ -138,6 +140,16 @@ def _raised_by_user(error: Exception) -> str | None:
     return f"{place}: {exception_text(error)}"
 
 
+def _build() -> str:
+    """Return whether the wheel was compiled (`hatch_build.py`)."""
+    made = os.listdir(os.path.join(os.path.dirname(aces_bus.__file__), "runtime"))
+    return (
+        "compiled"
+        if any(name.startswith("virtual.") and name.endswith(".so") for name in made)
+        else "pure Python"
+    )
+
+
 def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         if arguments[1:] and not arguments[1].startswith("-"):
@@ -148,7 +160,7 @@ def _run(arguments: list[str]) -> int:
         print("-q: no notes, no progress; ACES_NOTES=off in the environment: no notes at all.")
         return 0
     if arguments[0] in ("-V", "--version"):
-        print(f"aces {__version__}")
+        print(f"aces {__version__} ({_build()})")
         return 0
     verb = ALIASES.get(arguments[0], arguments[0])
     if verb.startswith("-"):
