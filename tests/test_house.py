@@ -29,7 +29,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "public names": (180, "what a check covers of the request; quantities of two scales"),
     "members of public names": (900, ""),
     "names of seams": (
-        440,
+        411,
         "names that left the surface; what strangers' plug-ins need; proofs name what they read; files with bodies;"
         " C and Wireshark read plans from the lab;"
         " what a field, a packet, a frame is, by name",

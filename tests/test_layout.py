@@ -37,7 +37,6 @@ FLOORS: dict[str, set[str]] = {
     "errors": set(),
     "frames": set(),
     "frame_table": set(),  # the same frames as columns
-    "traffic": set(),  # frames counted by identifier
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
     "loopback": set(),  # which addresses are of this machine
     "tracebacks": set(),  # the line of a user's program that an exception came from
@@ -84,7 +83,6 @@ EVERYONE = {
     "loopback",
     "frames",
     "frame_table",
-    "traffic",
     "plain_text",
     "tracebacks",
     "compiling",

@@ -13,15 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus import Frame, FrameTable, traffic
+from aces_bus import Frame, FrameTable
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import Channels
 from aces_bus.recordings.filters import parse_filter
-from aces_bus.traffic import BusIdentifier, GapCounts
 from aces_lab.compare import RecordingComparison, TrafficChange, compare_recordings, parse_marks
 from aces_lab.compare.changes import bits_text, values_text
 from aces_lab.compare.marks import windows_of
 from aces_lab.compare.traffic import IdentifierTraffic, TrafficProfile
+from aces_tools.reading import traffic
+from aces_tools.reading.traffic import BusIdentifier, GapCounts
 
 ROOT = Path(__file__).resolve().parents[2]
 WALK = ROOT / "examples" / "captures" / "hubo2plus.log"

@@ -230,7 +230,7 @@ def test_a_known_protocol_is_tried_in_both_directions(
     packet: str, way: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Answers of a servo alone are found, with what `aces decode` must be given; what has no check gives way."""
-    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["minihubo_adc", "robotis"])
+    monkeypatch.setattr("aces_tools.reading.fitting.list_protocols", lambda: ["minihubo_adc", "robotis"])
     traffic = StreamTraffic()
     traffic.add(bytes.fromhex(packet) * 12)
     (known,) = traffic.guess().known

@@ -250,7 +250,7 @@ def test_canopen_is_recognised_by_heartbeats_and_sdo() -> None:
 
 def test_what_an_installed_protocol_decodes_is_not_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Unless it is asked for."""
-    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["hubo"])
+    monkeypatch.setattr("aces_tools.reading.fitting.list_protocols", lambda: ["hubo"])
     hubo = pytest.importorskip("aces_protocols.hubo.spec").hubo
     encoder = hubo.variant().encoder
     frames = [
@@ -302,7 +302,7 @@ def test_work_is_bounded_by_bytes_not_by_identifiers(monkeypatch: pytest.MonkeyP
 
 def test_identifiers_alone_are_no_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     """ODrive and CANopen take most of all identifiers; noise at any of them is neither, and real values are."""
-    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["canopen", "odrive"])
+    monkeypatch.setattr("aces_tools.reading.fitting.list_protocols", lambda: ["canopen", "odrive"])
     odrive = pytest.importorskip("aces_protocols.odrive.spec").odrive
     drawn = np.random.default_rng(4)
     ids = drawn.choice(2048, 30, replace=False).tolist()
@@ -319,7 +319,7 @@ def test_identifiers_alone_are_no_protocol(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_car_is_no_odrive(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two identifiers whose contents any bytes can be say nothing for a protocol that takes most identifiers."""
-    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["odrive"])
+    monkeypatch.setattr("aces_tools.reading.fitting.list_protocols", lambda: ["odrive"])
     frames = [*periodic(0x220, 300, 1), *periodic(0x386, 300, 2)]
     frames = [Frame(frame.arbitration_id, bytes(frame.data) + b"\0", frame.timestamp) for frame in frames]
     guess = guessed(frames, known=True)
@@ -328,7 +328,7 @@ def test_a_car_is_no_odrive(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_bytes_alone_is_guessed_beside_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     """CANopen does not know what a PDO carries: it is left to be guessed, and says nothing for CANopen."""
-    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["canopen"])
+    monkeypatch.setattr("aces_tools.reading.fitting.list_protocols", lambda: ["canopen"])
     frames = [Frame(0x701, b"\x05", n / 10, "can0") for n in range(90)]
     frames += [Frame(0x181, bytes([n, 7]), n / 10, "can0") for n in range(10)]
     guess = guessed(frames, known=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus import traffic
+from aces_tools.reading import traffic
 
 from .conftest import Aces
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from aces_bus import Frame, FrameTable
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import Channels
-from aces_bus.traffic import BusIdentifier
 from aces_tools.plotting.bit_image import BINS, BitImages
 from aces_tools.plotting.bits import BitPicture, bit_order, flip_rates, terminal_bits
 from aces_tools.plotting.identifiers import choose_identifiers, parse_identifiers
+from aces_tools.reading.traffic import BusIdentifier
 
 from .conftest import Aces
 

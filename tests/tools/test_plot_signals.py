@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, Channels
 from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
-from aces_bus.recordings.window import TimeWindow
 from aces_tools.plotting.picture import value_changes
 from aces_tools.plotting.select import (
     Declared,
@@ -42,6 +41,7 @@ from aces_tools.plotting.series import (
     thin,
 )
 from aces_tools.protocols_arg import parse_protocols
+from aces_tools.reading.window import TimeWindow
 
 from .conftest import Aces
 

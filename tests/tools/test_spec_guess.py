@@ -71,7 +71,7 @@ def test_what_is_known_is_said_and_no_draft_is_written(
     aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the command that decodes it, and exit 1: what was asked for is not there."""
-    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["hubo"])
+    monkeypatch.setattr("aces_tools.reading.fitting.list_protocols", lambda: ["hubo"])
     path, draft = tmp_path / "walk.log", tmp_path / "draft.py"
     path.write_text("".join(f"({number}.0) can0 063#{number:02X}000000FCFFFFFF\n" for number in range(20)))
     result = aces("spec", "guess", path, "-o", draft)

@@ -10,8 +10,8 @@ from construct import Array, Byte, Bytes, Float32l, GreedyRange, Int16sl, Struct
 from aces_bus import Frame, FrameTable, make_column_scanner
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Multiplexed, Protocol, Quantity, Text, bits
-from aces_bus.recordings.where import Where, WhereColumns
 from aces_tools.output.shape import plans_of
+from aces_tools.reading.where import Where, WhereColumns
 
 spec = Protocol("where_spec", link="can")
 spec.message(

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from aces_bus import FrameTable, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.recordings.where import Where, WhereColumns
-from aces_bus.recordings.window import TimeWindow
 from aces_bus.testing import strategies
 from aces_tools.output.shape import plans_of
+from aces_tools.reading.where import Where, WhereColumns
+from aces_tools.reading.window import TimeWindow
 from tests.specs.catalogue import SPECS
 
 META = ("time", "channel", "direction", "identifier", "extended", "fd", "remote", "is_rx", "offset", "size")

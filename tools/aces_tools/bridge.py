@@ -29,8 +29,6 @@ from aces_bus.errors import CallerError
 from aces_bus.hardware.gate import Received
 from aces_bus.protocol import Record, Variant
 from aces_bus.recordings.filters import parse_filter
-from aces_bus.recordings.pieces import check_direction, has_requests
-from aces_bus.recordings.where import Where
 
 from .bus_arg import ChosenBus, chosen_end
 from .console import say
@@ -52,6 +50,8 @@ from .options import (
 from .output.shape import plans_of
 from .patience import STEP_S, Patience
 from .protocols_arg import parse_protocols
+from .reading.pieces import check_direction, has_requests
+from .reading.where import Where
 
 if TYPE_CHECKING:
     from .bus_arg import AnyGate

@@ -17,15 +17,15 @@ from aces_bus import FrameTable
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, widened
 from aces_bus.plain_text import printable
-from aces_bus.protocol.fitting import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
 from aces_bus.recordings.base import CanRecording, Chunk
 from aces_bus.recordings.filters import CanFilter, parse_filter, passing
-from aces_bus.recordings.pieces import open_any
-from aces_bus.traffic import BusIdentifier, FrameCount, IdentifierCounts
 
 from .console import abandon_stdout, counted, print_json, report_unreadable, say
 from .output.columns import Page
 from .patience import Patience
+from .reading.fitting import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
+from .reading.pieces import open_any
+from .reading.traffic import BusIdentifier, FrameCount, IdentifierCounts
 
 #: Options that need to know the messages.
 _NEED_A_PROTOCOL = (

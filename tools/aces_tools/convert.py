@@ -34,7 +34,6 @@ from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.filters import parse_filter, passing
 from aces_bus.recordings.merge import Merge, Relabel
 from aces_bus.recordings.open import formats
-from aces_bus.recordings.window import TimeWindow
 from aces_bus.recordings.write import (
     FormatOut,
     OpenWriter,
@@ -47,6 +46,7 @@ from aces_bus.recordings.write import (
 from .console import SHOWN, Progress, abandon_stdout, counted, report_unreadable, say, say_note
 from .options import FILTER, FROM, MAP, STRICT, TO, Arguments, argument, flag
 from .patience import Patience
+from .reading.window import TimeWindow
 
 #: Suffixes that promise no format: recordings of many programs have them.
 PLAIN = (".log", ".txt", ".bin", ".raw")

@@ -31,8 +31,6 @@ from aces_bus.frames import key_of
 from aces_bus.protocol import Record
 from aces_bus.protocol.live.scanner import Scanner
 from aces_bus.recordings.base import CanRecording, Link, Recording, SerialRecording
-from aces_bus.recordings.pieces import Direction, check_direction
-from aces_bus.recordings.totals import Totals
 
 from .console import Output, abandon_stdout, say_note, standard_input, terminal_width, wants_colour
 from .decoding import Decoding, utf8
@@ -59,10 +57,11 @@ from .options import (
 )
 from .output import LIVE, Writer, line_format, table_format
 from .patience import Patience
+from .reading.pieces import Direction, check_direction
+from .reading.totals import Totals
 
 if TYPE_CHECKING:
-    from aces_bus.recordings.where import Where
-
+    from .reading.where import Where
     from .registers import RegisterNotes
 
 BATCH = 1024
@@ -233,7 +232,7 @@ class LiveDecoding(Decoding):
     def _where(self, texts: list[str]) -> Where | None:
         if not texts:
             return None
-        from aces_bus.recordings.where import Where
+        from .reading.where import Where
 
         return Where(texts, self.plans.only(self.messages))
 

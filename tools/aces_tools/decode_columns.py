@@ -27,16 +27,16 @@ from aces_bus.protocol.columns.can_channels import ChannelColumns
 from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
 from aces_bus.recordings.base import CanRecording, Recording, SerialRecording
-from aces_bus.recordings.pieces import Direction, make_can_scanner, pieces_of
-from aces_bus.recordings.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
-from aces_bus.recordings.totals import Totals
-from aces_bus.recordings.where import Rows, WhereColumns
 
 from .console import SHOWN, Progress, check_not_read, say, say_note
 from .decode_jobs import FORMS, Jobs, Parts, PieceResult
 from .decoding import Decoding, utf8
 from .output.shape import Plans
 from .patience import Patience
+from .reading.pieces import Direction, make_can_scanner, pieces_of
+from .reading.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
+from .reading.totals import Totals
+from .reading.where import Rows, WhereColumns
 
 
 class TableDecoding(Decoding):

@@ -33,9 +33,10 @@ from aces_bus.export.files import Staging, telling
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings.base import CanRecording, UnreadableEntry
 from aces_bus.recordings.open import open_part, split_capture
-from aces_bus.recordings.pieces import pieces_of
-from aces_bus.recordings.selection import part_of
-from aces_bus.recordings.totals import Totals
+
+from .reading.pieces import pieces_of
+from .reading.selection import part_of
+from .reading.totals import Totals
 
 if TYPE_CHECKING:
     from .decode_columns import ColumnDecoding

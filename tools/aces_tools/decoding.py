@@ -18,14 +18,14 @@ from aces_bus.frame_table import to_ns
 from aces_bus.protocol import Variant
 from aces_bus.recordings.base import CanRecording, Link, Recording, SerialRecording
 from aces_bus.recordings.filters import CanFilter, parse_filter
-from aces_bus.recordings.pieces import CaptureReading, Direction, SerialWays, open_any
-from aces_bus.recordings.totals import Totals
-from aces_bus.recordings.window import TimeWindow
 
 from .console import abandon_stdout, counted, report_unreadable, say, say_note
 from .output.shape import Plans, plans_of
 from .patience import Patience
 from .protocols_arg import parse_protocols
+from .reading.pieces import CaptureReading, Direction, SerialWays, open_any
+from .reading.totals import Totals
+from .reading.window import TimeWindow
 
 #: Bytes of the beginnings of streams that are kept.
 _SAMPLE = 65_536

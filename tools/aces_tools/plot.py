@@ -26,7 +26,6 @@ from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings.base import Recording
-from aces_bus.recordings.totals import Totals
 
 from .console import check_not_read, counted, say, say_note
 from .decode_columns import TableDecoding
@@ -35,6 +34,7 @@ from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, pa
 from .plotting.select import Wanted, declared_signals, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
 from .plotting.telling import telling_signals
+from .reading.totals import Totals
 
 SUMMARY = "draw signals over time: in the terminal, PNG, SVG, PDF"
 

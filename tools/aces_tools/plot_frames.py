@@ -15,9 +15,6 @@ from aces_bus.frame_table import NO_TIME
 from aces_bus.frames import REMOTE
 from aces_bus.protocol.columns.table import ColumnKind
 from aces_bus.recordings.base import CanRecording
-from aces_bus.recordings.pieces import open_any
-from aces_bus.recordings.window import TimeWindow
-from aces_bus.traffic import BusIdentifier, identifier_groups
 
 from .console import Progress, check_not_read, counted, report_unreadable, say, say_note
 from .patience import Patience
@@ -27,6 +24,9 @@ from .plotting.identifiers import choose_identifiers, parse_identifiers
 from .plotting.picture import Picture, PlotLine, PlotPanel
 from .plotting.select import CHANNEL, ImageFormat, PlotSignal
 from .plotting.series import Series, TimeAxis, broken, longest_period
+from .reading.pieces import open_any
+from .reading.traffic import BusIdentifier, identifier_groups
+from .reading.window import TimeWindow
 
 #: Identifiers that are drawn without a choice: those with most frames.
 MOST_DRAWN = 64

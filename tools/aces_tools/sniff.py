@@ -32,7 +32,6 @@ from aces_bus.protocol.live.scanner import Scanner
 from aces_bus.protocol.record import Meta
 from aces_bus.recordings.base import Chunk, Link
 from aces_bus.recordings.filters import CanFilter, parse_filter
-from aces_bus.recordings.totals import Totals
 
 from .bus_arg import BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
@@ -63,6 +62,7 @@ from .output import Writer, line_format, live_kind
 from .output.text import TextOutput, Times
 from .patience import STEP_S, Patience
 from .protocols_arg import parse_protocols
+from .reading.totals import Totals
 from .rotation import Rotation
 
 if TYPE_CHECKING:

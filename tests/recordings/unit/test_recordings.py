@@ -22,7 +22,6 @@ from aces_bus.recordings.source import BLOCK, ByteSource
 from aces_bus.recordings.unpack import may_be_packed, packing
 from aces_bus.recordings.write import open_writer, writer_formats
 from aces_bus.recordings.write.base import WrittenChannels
-from aces_bus.traffic import EXACT, FrameCount, GapCounts
 from tests.recordings.test_compressed import LINES as LINES
 from tests.recordings.test_compressed import zstd as zstd
 from tests.recordings.test_writers import captures as captures
@@ -272,28 +271,3 @@ def test_few_bytes_may_become_packed_ones(head: bytes) -> None:
     assert not may_be_packed(b"")
     assert not may_be_packed(b"(1.")
     assert not packing(b"\x1f\x8b\x08\xff")  # reserved flags
-
-
-@pytest.mark.parametrize("number", [2, EXACT, EXACT + 1, 5 * EXACT])
-def test_quantiles_are_those_of_numpy(number: int) -> None:
-    """Exact while gaps are kept as they are, within a bin of 2 % beyond, however they are cut."""
-    gaps = np.random.default_rng(number).integers(5_000_000, 20_000_000, number)
-    shares = (0.1, 0.5, 0.9)
-    expected = np.quantile(gaps, shares)
-    for cut in (1 + number // 3, number):
-        counts = GapCounts()
-        for start in range(0, number, cut):
-            counts.add(gaps[start : start + cut])
-        assert counts.quantiles_ns(shares) == pytest.approx(expected, rel=1e-12 if number <= EXACT else 0.02)
-    every = GapCounts(exact=number)
-    every.add(gaps)
-    assert every.quantiles_ns(shares) == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_period_is_exact_however_long() -> None:
-    """A bin knows its mean."""
-    number = 3 * EXACT
-    count = FrameCount()
-    count.count(np.arange(number) * 10_000_000, np.full(number, 8))
-    assert count.period_ms == 10.0
-    assert (count.frames, count.lengths_seen) == (number, (8,))

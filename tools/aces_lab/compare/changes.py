@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 from aces_bus._lazy import np
 from aces_bus.frame_table import Ints
-from aces_bus.traffic import ArrivalCount, BusIdentifier, GapCounts
+from aces_tools.reading.traffic import ArrivalCount, BusIdentifier, GapCounts
 
 from .exposure import Exposure
 from .signals import DeviceMessage

@@ -23,9 +23,9 @@ from aces_bus.protocol.columns.table import Array, MessageTable
 from aces_bus.protocol.exchange import database_suffixes, load_database
 from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.filters import CanFilter, passing
-from aces_bus.recordings.pieces import Direction, SerialWays
 from aces_bus.recordings.source import PathSource
-from aces_bus.recordings.window import TimeWindow
+from aces_tools.reading.pieces import Direction, SerialWays
+from aces_tools.reading.window import TimeWindow
 
 from .changes import TrafficChange, traffic_changes
 from .exposure import Exposure, WatchedTime

@@ -18,10 +18,10 @@ from aces_bus import FrameTable
 from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.traffic import identifier_groups
 from aces_tools.plotting.bit_image import BitImage, BitImages
 from aces_tools.plotting.figure import DPI, WIDTH, styled, write_figure
 from aces_tools.plotting.series import Array, TimeAxis
+from aces_tools.reading.traffic import identifier_groups
 
 from . import RecordingComparison, TrafficChange
 from .comparer import ComparedSide

@@ -6,7 +6,7 @@
     20.5..22.1  pressed          a range of its own
     14:05:30    pressed          clock times, as --from takes them
 
-1. Times are those of `aces_bus.recordings.window`: seconds from the recording's first frame, since 1970, or by the clock.
+1. Times are those of `aces_tools.reading.window`: seconds from the recording's first frame, since 1970, or by the clock.
 2. Marks of one name are one thing done several times. A line that is not a mark is refused, with its number.
 """
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from aces_bus.errors import CallerError
-from aces_bus.recordings.window import TimeWindow
+from aces_tools.reading.window import TimeWindow
 
 _RANGE = re.compile(r"(?P<start>.*?)\.\.(?P<stop>.*)")
 #: Marks of a file.

@@ -15,11 +15,11 @@ import numpy as np
 
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import ColumnKind, MessageTable
-from aces_bus.traffic import BusIdentifier
 from aces_tools.plotting.figure import COLOURS, short_name
 from aces_tools.plotting.picture import is_enumeration, lone, steps
 from aces_tools.plotting.select import PlotSignal, Wanted, declared_signals
 from aces_tools.plotting.series import Array, Collector, Key, Series, TimeAxis, broken, longest_period
+from aces_tools.reading.traffic import BusIdentifier
 
 from .signals import DeviceMessage
 

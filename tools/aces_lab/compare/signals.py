@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aces_bus.protocol import Variant
-from aces_bus.protocol.columns.devices import is_device_column
 from aces_bus.protocol.columns.table import Array, Column, ColumnKind, MessageTable, kinds_of
-from aces_bus.traffic import ArrivalCount, rows_of_each
+from aces_tools.reading.device_columns import is_device_column
+from aces_tools.reading.traffic import ArrivalCount, rows_of_each
 
 #: Values of a signal that are kept one by one.
 MOST_VALUES = 256

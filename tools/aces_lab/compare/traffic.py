@@ -11,7 +11,7 @@ from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import Ints, widened
 from aces_bus.frames import REMOTE
-from aces_bus.traffic import FrameCount, IdentifierCounts
+from aces_tools.reading.traffic import FrameCount, IdentifierCounts
 
 
 class IdentifierTraffic(FrameCount):

@@ -29,9 +29,6 @@ from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import Array, MessageTable
 from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.filters import parse_filter
-from aces_bus.recordings.pieces import open_any
-from aces_bus.recordings.where import WhereColumns
-from aces_bus.recordings.window import TimeWindow
 from aces_tools.console import (
     Progress,
     abandon_stdout,
@@ -61,6 +58,9 @@ from aces_tools.output.columns import Page
 from aces_tools.output.shape import plans_of
 from aces_tools.patience import Patience
 from aces_tools.protocols_arg import parse_protocols
+from aces_tools.reading.pieces import open_any
+from aces_tools.reading.where import WhereColumns
+from aces_tools.reading.window import TimeWindow
 
 from . import RecordingComparison, TimeMark, parse_marks
 from .changes import KINDS

@@ -26,8 +26,8 @@ import msgspec
 
 from aces_bus.errors import CallerError
 from aces_bus.recordings.base import Link
-from aces_bus.recordings.totals import Totals
 from aces_bus.version import __version__
+from aces_tools.reading.totals import Totals
 
 from .stores import Place, StoredFile, StoreError, patiently
 

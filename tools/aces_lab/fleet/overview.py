@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from aces_bus.errors import CallerError
 from aces_bus.recordings.base import Link
-from aces_bus.recordings.totals import Totals
+from aces_tools.reading.totals import Totals
 
 from .manifest import FleetDataset, FleetInput, InputState, joined_totals
 

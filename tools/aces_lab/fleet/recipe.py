@@ -28,11 +28,11 @@ from aces_bus.protocol.files import python_file
 from aces_bus.protocol.record_plans import plans_of
 from aces_bus.recordings.base import Link
 from aces_bus.recordings.filters import parse_filter
-from aces_bus.recordings.pieces import Direction
-from aces_bus.recordings.selection import RecordingSelection
-from aces_bus.recordings.where import Where, WhereColumns
-from aces_bus.recordings.window import TimeWindow
 from aces_bus.version import __version__
+from aces_tools.reading.pieces import Direction
+from aces_tools.reading.selection import RecordingSelection
+from aces_tools.reading.where import Where, WhereColumns
+from aces_tools.reading.window import TimeWindow
 
 _INCLUDE = re.compile(rb"<include>\s*([^<>/\\]+?)\s*</include>")
 

@@ -22,9 +22,9 @@ from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.columns.arrow import load_pyarrow
 from aces_bus.recordings.base import Link
 from aces_bus.recordings.open import LEAST, may_be_split
-from aces_bus.recordings.pieces import Direction
 from aces_bus.recordings.source import cut_lines
-from aces_bus.recordings.totals import Totals
+from aces_tools.reading.pieces import Direction
+from aces_tools.reading.totals import Totals
 
 from .cluster import Workers, exposure, open_workers
 from .manifest import FleetDataset, FleetInput, joined_totals, uri_key

@@ -29,7 +29,8 @@ from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.layout import ABSOLUTE_NS
 from aces_bus.recordings.base import CanRecording, Link, SerialRecording, UnreadableEntry
 from aces_bus.recordings.open import open_part
-from aces_bus.recordings.pieces import (
+from aces_bus.version import __version__
+from aces_tools.reading.pieces import (
     CaptureReading,
     SerialWays,
     frame_runs,
@@ -37,9 +38,8 @@ from aces_bus.recordings.pieces import (
     open_any,
     pieces_of,
 )
-from aces_bus.recordings.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
-from aces_bus.recordings.totals import Totals
-from aces_bus.version import __version__
+from aces_tools.reading.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
+from aces_tools.reading.totals import Totals
 
 from .manifest import FLEET, FleetDataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from aces_bus.protocol.columns.table import Array
-from aces_bus.protocol.fitting import TRIED_BYTES, FittingProtocol, fitting_protocols
+from aces_tools.reading.fitting import TRIED_BYTES, FittingProtocol, fitting_protocols
 
 from .fields import FieldGuess, fields_of
 from .framing_search import framings_of

@@ -15,8 +15,8 @@ from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import NO_TIME, FrameFlag, rows_at
 from aces_bus.frames import EXTENDED, FD, REMOTE
-from aces_bus.protocol.fitting import FittingProtocol, fitting_protocols, undecoded
-from aces_bus.traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each
+from aces_tools.reading.fitting import FittingProtocol, fitting_protocols, undecoded
+from aces_tools.reading.traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each
 
 from .fields import Array, FieldGuess, fields_of
 from .nodes import Members, NodeGuess, families

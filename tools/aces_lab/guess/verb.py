@@ -44,9 +44,7 @@ from pathlib import Path
 from aces_bus import FrameTable
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
-from aces_bus.protocol.fitting import FittingProtocol
 from aces_bus.recordings.base import CanRecording
-from aces_bus.recordings.pieces import open_any
 from aces_tools.console import (
     check_suffix,
     counted,
@@ -59,6 +57,8 @@ from aces_tools.console import (
 from aces_tools.options import COLOR, JSON, OUTPUT, Arguments, argument, duration, flag
 from aces_tools.output.columns import Page
 from aces_tools.patience import Patience
+from aces_tools.reading.fitting import FittingProtocol
+from aces_tools.reading.pieces import open_any
 
 from . import (
     FieldGuess,

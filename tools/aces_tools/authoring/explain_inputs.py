@@ -21,7 +21,8 @@ from aces_bus.protocol.explain.attempt import Attempt
 from aces_bus.protocol.explain.tracer import Tracer
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.recordings.base import CanRecording, SerialRecording
-from aces_bus.recordings.pieces import Direction, check_direction, has_requests
+
+from ..reading.pieces import Direction, check_direction, has_requests
 
 #: Bytes of a stream that are read; frames are read one by one.
 LARGEST = 8 * 2**20

@@ -15,8 +15,8 @@ import numpy as np
 from aces_bus import FrameTable
 from aces_bus.frame_table import NO_TIME, widened
 from aces_bus.frames import REMOTE
-from aces_bus.traffic import BusIdentifier, identifier_groups
 
+from ..reading.traffic import BusIdentifier, identifier_groups
 from .series import Array
 
 #: Stretches of time; a picture has about as many pixels.

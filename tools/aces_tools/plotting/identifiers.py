@@ -12,7 +12,8 @@ from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 from aces_bus.errors import CallerError
-from aces_bus.traffic import BusIdentifier
+
+from ..reading.traffic import BusIdentifier
 
 _TYPED = re.compile(r"(?:(?P<channel>[^:,]+):)?(?:0[xX])?(?P<digits>[0-9A-Fa-f*?]{1,8})")
 #: Of those that are there, so many are named.

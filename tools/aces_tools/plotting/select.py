@@ -27,9 +27,10 @@ from functools import cached_property
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.columns.devices import is_device_column
 from aces_bus.protocol.columns.table import ColumnKind, kinds_of
 from aces_bus.protocol.plan import nodes as p
+
+from ..reading.device_columns import is_device_column
 
 #: The pseudo field by which a pattern names the bus.
 CHANNEL = "channel"

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.columns.table import Column, MessageTable
-from aces_bus.recordings.window import TimeWindow
 
+from ..reading.window import TimeWindow
 from .select import CHANNEL, PlotSignal, SignalPattern, Wanted
 
 Array = npt.NDArray[Any]

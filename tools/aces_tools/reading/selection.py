@@ -13,10 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..frame_table import FrameTable
-from ..protocol.columns.table import MessageTable
-from ..protocol.counts import ScanCounts
-from .filters import CanFilter, passing
+from aces_bus import FrameTable
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.recordings.filters import CanFilter, passing
+
 from .totals import Totals
 from .where import Rows, WhereColumns
 from .window import TimeWindow

@@ -9,9 +9,9 @@ from typing import Any
 
 import msgspec
 
-from .._lazy import np
-from ..protocol.counts import ScanCounts
-from .base import Link
+from aces_bus._lazy import np
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.recordings.base import Link
 
 #: What scanners count.
 _COUNTED = ("total", "decoded", "control", "unknown", "malformed", "skipped", "errors", "pending", "records")

@@ -13,9 +13,10 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
-from ._lazy import np
-from .frame_table import NO_TIME, FrameFlag, FrameTable, Ints
-from .frames import EXTENDED, FD, REMOTE
+from aces_bus import FrameTable
+from aces_bus._lazy import np
+from aces_bus.frame_table import NO_TIME, FrameFlag, Ints
+from aces_bus.frames import EXTENDED, FD, REMOTE
 
 #: Identifiers that are counted one by one; a bus that works has fewer.
 MOST_IDENTIFIERS = 4096

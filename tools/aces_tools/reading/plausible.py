@@ -8,11 +8,10 @@
 
 from __future__ import annotations
 
-from .._lazy import np
-from . import Variant
-from .columns.table import Array, Column, MessageTable
-from .declare.message import Message
-from .plan.nodes import NodePath
+from aces_bus._lazy import np
+from aces_bus.protocol import Message, Variant
+from aces_bus.protocol.columns.table import Array, Column, MessageTable
+from aces_bus.protocol.plan.nodes import NodePath
 
 #: Exponents of float32 that measured quantities have, and the least and greatest size that they stand for.
 EXPONENTS = (97, 161)

@@ -10,18 +10,18 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
-from ..errors import CallerError, CaptureError
-from ..frame_table import FrameTable, joined_tables
-from ..protocol.counts import ScanCounts
-from ..protocol.declare.message import Direction as OneWay
-from ..protocol.declare.protocol import Variant
-from .base import CanRecording, Chunk, SerialRecording
-from .open import open_recording
-from .serial.raw import RawCapture
+from aces_bus import FrameTable, open_recording
+from aces_bus.errors import CallerError, CaptureError
+from aces_bus.frame_table import joined_tables
+from aces_bus.protocol import Variant
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.protocol.declare.message import Direction as OneWay
+from aces_bus.recordings.base import CanRecording, Chunk, SerialRecording
+from aces_bus.recordings.serial.raw import RawCapture
 
 if TYPE_CHECKING:
-    from ..protocol.columns.can import CanColumns
-    from ..protocol.columns.can_channels import ChannelColumns
+    from aces_bus.protocol.columns.can import CanColumns
+    from aces_bus.protocol.columns.can_channels import ChannelColumns
 
 T = TypeVar("T")
 Direction = Literal["to device", "from device", "both"]
@@ -56,8 +56,8 @@ def make_can_scanner(
 ) -> CanColumns | ChannelColumns:
     """Return a column scanner of CAN that shares a recording with others: with `defer`, frames that hang on those of
     other pieces are left to `hand_over`; without, it is the one that adopts them, piece by piece."""
-    from ..protocol.columns.can import CanColumns
-    from ..protocol.columns.can_channels import ChannelColumns
+    from aces_bus.protocol.columns.can import CanColumns
+    from aces_bus.protocol.columns.can_channels import ChannelColumns
 
     kind: Any = ChannelColumns if any(v.channel is not None for v in variants) else CanColumns
     made: CanColumns | ChannelColumns = kind(
@@ -92,7 +92,7 @@ class Requests:
     def __init__(self, variants: Sequence[Variant]) -> None:
         self._scanner: Any = None
         if any(map(has_requests, variants)):
-            from ..protocol.live.scanner import make_scanner
+            from aces_bus import make_scanner
 
             self._scanner = make_scanner(variants, direction="to device")
 

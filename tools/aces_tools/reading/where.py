@@ -39,17 +39,17 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import CallerError, UnknownNameError
-from ..frame_table import NO_TIME, to_ns
-from ..frames import EXTENDED as KEY_EXTENDED
-from ..frames import FD as KEY_FD
-from ..frames import REMOTE as KEY_REMOTE
-from ..protocol import FlagSet, Record
-from ..protocol.columns.table import Column, ColumnKind, MessageTable
-from ..protocol.numbers import parse_number
-from ..protocol.plan import nodes as p
-from ..protocol.record import Meta, getter
-from ..protocol.record_plans import OfKind, Plans
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.frame_table import NO_TIME, to_ns
+from aces_bus.frames import EXTENDED as KEY_EXTENDED
+from aces_bus.frames import FD as KEY_FD
+from aces_bus.frames import REMOTE as KEY_REMOTE
+from aces_bus.protocol import FlagSet, Record
+from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
+from aces_bus.protocol.numbers import parse_number
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import Meta, getter
+from aces_bus.protocol.record_plans import OfKind, Plans
 
 #: A float is a written number within this part of the larger one, or within `NEAREST`; a time within `SAME_NS`.
 NEAR, NEAREST, SAME_NS = 1e-9, 1e-12, 500

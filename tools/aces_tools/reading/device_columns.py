@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..plan import nodes as p
+from aces_bus.protocol.plan import nodes as p
 
 #: Names of top-level integers that say whose values a message carries.
 DEVICE_NAMES = frozenset(

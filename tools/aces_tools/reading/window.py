@@ -16,8 +16,8 @@ from typing import Any
 
 import msgspec
 
-from ..errors import CallerError
-from ..frame_table import NO_TIME
+from aces_bus.errors import CallerError
+from aces_bus.frame_table import NO_TIME
 
 #: Seconds from which on a time is absolute: 3 March 1973.
 ABSOLUTE_S = 10**8

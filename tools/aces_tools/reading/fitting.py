@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
-from .._lazy import np
-from ..errors import AcesError
-from ..frame_table import FrameFlag, FrameTable
-from . import Variant
-from .columns.decode import feed
-from .columns.scanner import make_column_scanner
-from .columns.table import Array, MessageTable
-from .files import list_protocols, load_protocol
+from aces_bus import FrameTable, list_protocols, load_protocol, make_column_scanner
+from aces_bus._lazy import np
+from aces_bus.errors import AcesError
+from aces_bus.frame_table import FrameFlag
+from aces_bus.protocol import Variant
+from aces_bus.protocol.columns.decode import feed
+from aces_bus.protocol.columns.table import Array, MessageTable
+
 from .plausible import is_opaque, is_tested, plausible
 
 #: Frames and bytes among which protocols are tried, where a recording is not kept; the share from which on one fits.
