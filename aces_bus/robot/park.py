@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from ..device.device import Device
 from ..device.reading import UNKNOWN
@@ -62,7 +61,7 @@ class Parking:
         for device in self.rig.devices.values():
             for joint in device.joints if device.is_driven or device.name in left else ():
                 why = left.get(device.name) or self._lack(device, joint.name)
-                if not why and (measured := self._measured(device, joint.name)) is not UNKNOWN:
+                if not why and (measured := self._measured(device, joint.name)) is not None:
                     why = self._astray(device, joint.name, measured)
                 if why:
                     self.failed[joint.name] = why
@@ -89,8 +88,10 @@ class Parking:
 
     # ------------------------------------------------------------------ on the clock's thread
 
-    def _measured(self, device: Device, joint: str) -> Any:
-        return UNKNOWN if device.is_silent else self.rig[joint].value
+    def _measured(self, device: Device, joint: str) -> float | None:
+        """Return where a joint is (rad or m); None while that is not known."""
+        measured = self.rig[joint].value
+        return None if device.is_silent or measured is UNKNOWN else measured
 
     def _astray(self, device: Device, joint: str, measured: float) -> str:
         """Say why a joint that was measured there does not follow its set-points; "" while it does."""
@@ -114,7 +115,7 @@ class Parking:
         for joint in [] if end else [*self._moving]:
             device = rig.device(joint)
             measured = self._measured(device, joint)
-            if measured is UNKNOWN:
+            if measured is None:
                 why = LOST if now - self._lost.setdefault(joint, now) > LOST_NS else ""
             else:
                 self._lost.pop(joint, None)
