@@ -3,12 +3,15 @@
 1. `Physics` is what a simulator offers: torques in; positions, velocities and contacts out; a step is a millisecond.
 2. `MovedBody` is its one clock: asking one motor for its state advances all motors and the body to that instant.
    Nothing is computed before it is asked for, and who asks changes nothing: the same seed is the same run.
-3. SI, by the names and directions of the robot's file: rad, rad/s, N·m (m, m/s, N for joints that slide).
+3. Where the body can say it (`FeelingPhysics`), twins of inertial and force sensors read the motion of their part and what
+   acts on it.
+4. SI, by the names and directions of the robot's file: rad, rad/s, N·m (m, m/s, N for joints that slide).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from ..errors import CallerError
@@ -22,6 +25,44 @@ class Contact(NamedTuple):
 
     parts: tuple[str, str]
     force: float
+
+
+class PartMotion(NamedTuple):
+    """How a part of a body lies and moves: what an inertial sensor on it measures.
+
+    `roll`, `pitch`, `yaw` (rad) turn it about the world's x, y and z axis, in this order. `rates` (rad/s) and `acceleration`
+    (m/s²: 9.81 upwards where it rests) are along its own axes.
+    """
+
+    roll: float
+    pitch: float
+    yaw: float
+    rates: tuple[float, ...]
+    acceleration: tuple[float, ...]
+
+
+class PartWrench(NamedTuple):
+    """What acts on a part, beyond the part that carries it (contacts, weight, inertia), along its own axes: N and N·m."""
+
+    force: tuple[float, ...]
+    torque: tuple[float, ...]
+
+
+#: A vector, and a part's axes as columns of a matrix.
+Three = Sequence[float]
+Axes = Sequence[Sequence[float]]
+
+
+class FeelingPhysics(Protocol):
+    """What a `Physics` offers beside, where sensors are to feel it. A part is named as the sensor in the robot's file."""
+
+    def motion_of(self, part: str) -> tuple[Axes, Three, Three] | None:
+        """Return a part's axes in the world, its rates (rad/s) and its acceleration, as `PartMotion`; None: no such part."""
+        ...
+
+    def wrench_on(self, part: str) -> tuple[Three, Three] | None:
+        """Return force (N) and torque (N·m) as `PartWrench` has them; None: there is no such part."""
+        ...
 
 
 class Physics(Protocol):
@@ -88,6 +129,26 @@ class MovedBody:
         """Return where the body has a joint (rad); None: it has no such joint."""
         number = self._numbers.get(joint)
         return None if number is None else float(self.physics.positions[number])
+
+    def motion_of(self, part: str, now: int) -> PartMotion | None:
+        """Return how a part moves at `now` (ns); None: the physics has no such part, or no `FeelingPhysics`."""
+        self.advance(now)
+        feel: Callable[[str], tuple[Axes, Three, Three] | None] | None
+        feel = getattr(self.physics, "motion_of", None)
+        found = None if feel is None else feel(part)
+        if found is None:
+            return None
+        ((xx, _, _), (yx, _, _), (zx, zy, zz)), rates, acceleration = found
+        pitch = math.asin(max(-1.0, min(1.0, -zx)))
+        return PartMotion(math.atan2(zy, zz), pitch, math.atan2(yx, xx), tuple(rates), tuple(acceleration))
+
+    def wrench_on(self, part: str, now: int) -> PartWrench | None:
+        """Return what acts on a part at `now` (ns); None as of `motion_of`."""
+        self.advance(now)
+        feel: Callable[[str], tuple[Three, Three] | None] | None
+        feel = getattr(self.physics, "wrench_on", None)
+        found = None if feel is None else feel(part)
+        return None if found is None else PartWrench(tuple(found[0]), tuple(found[1]))
 
     def add(self, joint: str, motor: BodyMotor, *, inertia: float, friction: float) -> bool:
         """Have a motor move a joint; return False where the body has no such joint."""

@@ -161,3 +161,35 @@ def test_a_body_is_checked() -> None:
     assert robot is not None, problems
     with pytest.raises(CallerError, match="no physics named 'nothing'"):
         physics_of("nothing:x", robot)
+
+
+def test_physics_that_feel_nothing_are_no_fault() -> None:
+    """A body need not say how its parts move: twins of sensors then have what they have without one."""
+    body = MovedBody(Weights(["J"]), 0)
+    assert body.motion_of("imu", 5 * MS) is None
+    assert body.wrench_on("foot", 5 * MS) is None
+    assert body.at == 5 * MS
+
+
+def test_axes_are_told_as_angles() -> None:
+    """Roll, pitch and yaw of a part's axes, also where the pitch is a quarter turn; rates and accelerations as they are."""
+
+    class Part(Weights):
+        def motion_of(self, part: str) -> tuple[list[list[float]], list[float], list[float]] | None:
+            c, s = math.cos(0.3), math.sin(0.3)
+            turned = {
+                "roll": [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]],
+                "pitch": [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]],
+                "yaw": [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]],
+                "upright": [[0.0, 0.0, 1.0 + 1e-12], [0.0, 1.0, 0.0], [-1.0 - 1e-12, 0.0, 0.0]],
+            }
+            return (turned[part], [1.0, 2.0, 3.0], [0.0, 0.0, 9.81]) if part in turned else None
+
+    body = MovedBody(Part(["J"]), 0)
+    wanted = {"roll": (0.3, 0, 0), "pitch": (0, 0.3, 0), "yaw": (0, 0, 0.3), "upright": (0, math.pi / 2, 0)}
+    for part, angles in wanted.items():
+        found = body.motion_of(part, 0)
+        assert found is not None
+        assert (found.roll, found.pitch, found.yaw) == pytest.approx(angles)
+        assert (found.rates, found.acceleration) == ((1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
+    assert body.motion_of("nothing", 0) is None

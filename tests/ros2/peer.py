@@ -1,6 +1,7 @@
 """A ROS 2 program's place: plain cyclonedds, with types made of rosbags' definitions of Jazzy; ours has no part in it.
 
-`python -m tests.ros2.peer DOMAIN SECONDS` subscribes to `/joint_states` and prints what came as hex, a line a message.
+`python -m tests.ros2.peer DOMAIN SECONDS` subscribes to `/joint_states` and prints what came as hex, a line a message; with
+a topic and type, to that one. `python -m tests.ros2.peer DOMAIN SECONDS command JOINT VALUE` gives set-points.
 """
 
 from __future__ import annotations
@@ -79,11 +80,12 @@ class Peer:
         return dds["topic"].Topic(self.participant, f"rt{topic}", idl(message))
 
 
-def main(domain: int, seconds: float) -> None:
+def listen(domain: int, seconds: float, topic: str, message: str) -> None:
+    """Print what comes."""
     take: Any = import_module("cyclonedds._clayer").ddspy_take
     mask = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
     peer = Peer(domain, opens=True)  # its end would be the reader's
-    reader = peer.reader("/joint_states", "sensor_msgs/msg/JointState")
+    reader = peer.reader(topic, message)
     print("ready", flush=True)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -94,5 +96,23 @@ def main(domain: int, seconds: float) -> None:
         time.sleep(0.02)
 
 
+def command(domain: int, seconds: float, joint: str, value: float) -> None:
+    """Command a joint."""
+    peer = Peer(domain, opens=True)
+    writer = peer.writer("/joint_command", "sensor_msgs/msg/JointState")
+    print("ready", flush=True)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        writer.write(idl("sensor_msgs/msg/JointState")(stamped(), [joint], [value], [], []))
+        time.sleep(0.05)
+
+
+def main(domain: int, seconds: float, *more: str) -> None:
+    if more[:1] == ("command",):
+        command(domain, seconds, more[1], float(more[2]))
+    else:
+        listen(domain, seconds, *(more or ("/joint_states", "sensor_msgs/msg/JointState")))
+
+
 if __name__ == "__main__":
-    main(int(sys.argv[1]), float(sys.argv[2]))
+    main(int(sys.argv[1]), float(sys.argv[2]), *sys.argv[3:])

@@ -8,10 +8,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import can
 import msgspec
 import pytest
 
@@ -23,6 +24,7 @@ from aces_lab.ros2.messages import JOINT_STATE
 from aces_lab.ros2.view import Ros2View
 from tests.ros2.domains import DOMAINS
 from tests.ros2.peer import JAZZY, LOOPBACK
+from tests.ros2.test_commands import Stage, point, trajectory
 
 ROOT = Path(__file__).parents[2]
 #: The longest that a process may take (s), on any machine.
@@ -34,10 +36,10 @@ EVERYONE = (
 
 
 @contextmanager
-def peer(domain: int, seconds: float) -> Generator[subprocess.Popen[str]]:
-    """Another process with plain cyclonedds that receives `/joint_states`."""
+def peer(domain: int, seconds: float, *more: str) -> Generator[subprocess.Popen[str]]:
+    """Another process with plain cyclonedds that receives `/joint_states`, or does `more` (see there)."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.ros2.peer", str(domain), str(seconds)],
+        [sys.executable, "-m", "tests.ros2.peer", str(domain), str(seconds), *more],
         cwd=ROOT,
         env={**os.environ, "CYCLONEDDS_URI": LOOPBACK},
         stdout=subprocess.PIPE,
@@ -99,6 +101,83 @@ def test_joint_states_at_200_hz_reach_another_process() -> None:
     assert len(read.name) == 35
     assert bytes(JAZZY.serialize_cdr(read, JOINT_STATE)) == data
     assert dict(zip(read.name, read.position, strict=True))["RHP"] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_second_writer_of_another_process_is_refused() -> None:
+    """While the first one's trajectory is under way; when that ends, the other's commands are carried out."""
+    stage = Stage()
+    try:
+        stage.trajectory(trajectory(["HIP"], point(590.0, [0.5])))
+        stage.wait(0.1)
+        with peer(stage.view.dds.domain, WAIT_S, "command", "HIP", "-0.5"):
+            end = time.monotonic() + WAIT_S
+            while not stage.said and time.monotonic() < end:
+                stage.wait(0.05)
+                time.sleep(0.02)
+            assert "another writer commands; its motion must end first" in stage.said[0]
+            stage.wait(0.5)
+            assert stage.commands.taken == 1
+            assert stage.position("HIP") > -0.01
+            stage.trajectory(trajectory([]))
+            while stage.position("HIP") > -0.49 and time.monotonic() < end:
+                stage.wait(0.02)
+                time.sleep(0.02)
+            assert stage.position("HIP") == pytest.approx(-0.5, abs=0.01)
+    finally:
+        stage.close()
+
+
+@pytest.mark.slow
+def test_sniff_publishes_what_it_decodes(tmp_path: Path) -> None:
+    """`aces sniff --ros2` end to end: another process has the newest record of a bus among the diagnostics."""
+    domain = next(DOMAINS)
+    bus = "unix:" + str(tmp_path / "can.sock")
+    aces = [sys.executable, "-m", "aces_tools"]
+    words = [
+        "sniff",
+        "-i",
+        "aces",
+        "-c",
+        bus,
+        "-p",
+        "hubo:D12@hubo2plus",
+        "-q",
+        "--ros2",
+        "--domain",
+        str(domain),
+    ]
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    with ExitStack() as stack:
+
+        def begin(*more: str) -> None:
+            process = subprocess.Popen([*aces, *more], stdout=subprocess.DEVNULL)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+
+        begin("bus", "serve", "can0", "--unix", str(tmp_path / "can.sock"))
+        end = time.monotonic() + WAIT_S
+        while not (tmp_path / "can.sock").exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        begin(*words)
+        process = stack.enter_context(peer(domain, WAIT_S, "/diagnostics", kind))
+        assert process.stdout is not None
+        found: list[Any] = []
+        with can.Bus(interface="aces", channel=bus) as ours:
+            os.set_blocking(process.stdout.fileno(), False)
+            while not found and time.monotonic() < end:
+                ours.send(
+                    can.Message(
+                        arbitration_id=0x063, data=bytes.fromhex("78000000FCFFFFFF"), is_extended_id=False
+                    )
+                )
+                time.sleep(0.05)
+                for line in process.stdout.readlines():
+                    message: Any = JAZZY.deserialize_cdr(bytes.fromhex(line), kind)
+                    found += [status for status in message.status if "Encoder 063" in status.name]
+    status = found[0]
+    assert {pair.key: pair.value for pair in status.values} == {"board": "3", "position": "(120, -4)"}
+    assert "received" in status.message
 
 
 @pytest.mark.slow

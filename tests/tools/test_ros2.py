@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -62,3 +63,28 @@ def test_a_bag_is_one_for_rosbags(aces: Aces, tmp_path: Path) -> None:
     assert joints.position[list(joints.name).index("RHP")] == pytest.approx(0.0, abs=0.01)
     imu: Any = last["/IMU0/imu"]
     assert imu.orientation.w == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_simulated_body_is_felt(aces: Aces, tmp_path: Path) -> None:
+    """With `--physics mujoco`, the wrench of a foot and the attitude of the trunk are those of the body."""
+    pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'aces-bus[physics]'")
+    from tests.lab.physics.test_mujoco import SENSORS
+
+    buses, _, rest = SENSORS.partition("[devices]")
+    devices, _, sensors = rest.partition("[sensors]")
+    shipped = (resources.files("aces_devices.robots") / "quadruped.toml").read_text(encoding="utf-8")
+    for table, more in (("[buses]", buses.replace("[buses]", "")), ("[devices]", devices)):
+        shipped = shipped.replace(table, table + more)
+    path, bag_path = tmp_path / "quadruped.toml", tmp_path / "stand.mcap"
+    path.write_text(f"{shipped}\n[sensors]{sensors}")
+    made = aces(
+        *("run", "-r", path, "--virtual", "--physics", "mujoco", "--no-enable", "--for", "0.5s", "-q"),
+        *("--ros2", "--domain", str(next(DOMAINS)), "--ros2-bag", bag_path),
+    )
+    assert made.status == 0, made.err
+    with rosbags.AnyReader([bag_path]) as bag:
+        last = {c.topic: bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages()}
+    forces = [last[f"/{foot}_foot/wrench"].wrench.force.z for foot in ("LF", "RF", "LH", "RH")]
+    assert max(map(abs, forces)) > 1.0
+    assert last["/imu/imu"].orientation.w == pytest.approx(1.0, abs=0.01)

@@ -1,7 +1,8 @@
 """The twin of a force/torque board: what a foot feels of the floor, what a hand carries.
 
 1. In digits as scaled, the fields have 0.01 N·m and 0.1 N, unless the sensor has a matrix: then digits are what it undoes.
-2. A hand carries nothing until it is fed.
+2. With a simulated body (`--physics`) whose part is called as the sensor, it is what acts on that part.
+3. A hand carries nothing until it is fed.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from ..hubo_sensors.twin import CENTIDEGREES, Axes, SensorTwin
 
 #: Steps of a field: 0.01 N·m, 0.1 N; 1/100 °, 1/750 g.
 _FORCE = (100.0, 100.0, 10.0)
+#: m/s² (CGPM 1901).
+STANDARD_GRAVITY = 9.80665
 _TILT = (CENTIDEGREES, CENTIDEGREES, 750.0)
 #: Which foot a sensor id is.
 _FEET = {1: "R", 2: "L"}
@@ -51,6 +54,7 @@ class ForceTorqueTwin(SensorTwin):
             (entry.signs for entry in self.sensors if entry.kind == "tilt" and entry.signs is not None),
             (1, 1, 1),
         )
+        self._part = self.config.name if sensor is None else sensor.name
         self._rows = _undone(sensor.matrix) if sensor is not None and sensor.matrix is not None else None
 
     def truth(self, name: str, now: int) -> list[float]:
@@ -60,6 +64,10 @@ class ForceTorqueTwin(SensorTwin):
         if name == "tilt":
             return [s * v * k for s, v, k in zip(self._tilt_signs, self._tilt(now), _TILT, strict=False)]
         roll, pitch, _ = self._tilt(now)
+        if (physics := self.world.body) is not None and (
+            felt := physics.motion_of(self._part, now)
+        ) is not None:
+            return [roll * 750, pitch * 750, *(rate * CENTIDEGREES for rate in felt.rates[:2])]
         body = self.body
         # Accelerations along the axes that turn with the foot, and its rates: those of the pelvis, roughly.
         return [roll * 750, pitch * 750, body.roll_rate * CENTIDEGREES, body.pitch_rate * CENTIDEGREES]
@@ -67,6 +75,10 @@ class ForceTorqueTwin(SensorTwin):
     def _force(self, now: int) -> list[float]:
         if self.feed is not None:
             mx, my, fz = self.feed(now)
+        elif (physics := self.world.body) is not None and (
+            felt := physics.wrench_on(self._part, now)
+        ) is not None:
+            mx, my, fz = *felt.torque[:2], felt.force[2]
         elif self.side is not None:
             self.body.update(now)
             foot = self.body.feet[self.side]
@@ -82,6 +94,10 @@ class ForceTorqueTwin(SensorTwin):
     def _tilt(self, now: int) -> Sequence[float]:
         if self.tilt_feed is not None:
             return self.tilt_feed(now)
+        if (physics := self.world.body) is not None and (
+            felt := physics.motion_of(self._part, now)
+        ) is not None:
+            return (felt.roll, felt.pitch, felt.acceleration[2] / STANDARD_GRAVITY)
         if self.side is None:
             return (0.0, 0.0, 1.0)
         self.body.update(now)

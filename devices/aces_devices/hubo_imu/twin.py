@@ -1,4 +1,4 @@
-"""The twin of an attitude board: the pelvis as the body has it.
+"""The twin of an attitude board: the pelvis as the body has it, or a part of a simulated body called as its sensor.
 
 1. Digits of D08: 750 a g along the axes, 100 a °/s; the sheet gives no scale, these are the scales of D12.
 """
@@ -32,11 +32,16 @@ class ImuTwin(SensorTwin):
         )
         self._signs = signs if signs is not None else (1, 1, 1, 1)
         self._is_old = self.variant.dialect != "D12"
+        self._part = next((sensor.name for sensor in self.sensors if sensor.kind == "imu"), self.config.name)
 
     def truth(self, name: str, now: int) -> list[float]:
         """See `SensorTwin.truth`."""
         if self.feed is not None:
             values = self.feed(now)
+        elif (physics := self.world.body) is not None and (
+            felt := physics.motion_of(self._part, now)
+        ) is not None:
+            values = (felt.roll, felt.pitch, *felt.rates[:2])
         else:
             body = self.body
             body.update(now)

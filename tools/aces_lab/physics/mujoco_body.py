@@ -5,7 +5,8 @@
 2. A step is a millisecond, cut into as many of the model's own steps as fit; a longer one is shortened to a millisecond.
 3. What the model says of a joint's rotor inertia (`armature`) and dry friction (`frictionloss`) stands; where it says
    nothing, the motor's are put in.
-4. It begins at the keyframe `home`, where there is one. Nothing is random: the same torques give the same motion to the bit.
+4. Sensors of the robot's file whose name a site or body of the model has feel its motion, and what acts on it.
+5. It begins at the keyframe `home`, where there is one. Nothing is random: the same torques give the same motion to the bit.
 
 `picture` renders it, where MuJoCo finds a renderer (`MUJOCO_GL=egl` or `osmesa` without a screen).
 """
@@ -114,6 +115,45 @@ class MujocoBody:
         if number < 0:
             raise CallerError(f"the model has no body {body!r}")
         return self.data.xpos[number].copy(), self.data.xmat[number].reshape(3, 3).copy()
+
+    def motion_of(self, part: str) -> tuple[list[list[float]], list[float], list[float]] | None:
+        """See `FeelingPhysics`; a part is a site, or else a body, of the model."""
+        found = self._part(part)
+        if found is None:
+            return None
+        mj, model, data = self._mj, self.model, self.data
+        kind, number, _, turned = found
+        mj.mj_rnePostConstraint(model, data)
+        velocity, acceleration = np.zeros(6), np.zeros(6)
+        mj.mj_objectVelocity(model, data, kind, number, velocity, 1)
+        mj.mj_objectAcceleration(model, data, kind, number, acceleration, 1)
+        return turned.tolist(), velocity[:3].tolist(), acceleration[3:].tolist()
+
+    def wrench_on(self, part: str) -> tuple[list[float], list[float]] | None:
+        """See `FeelingPhysics`: the force between the part's body and the one that carries it, at the part."""
+        found = self._part(part)
+        if found is None:
+            return None
+        mj, model, data = self._mj, self.model, self.data
+        kind, number, place, turned = found
+        body = model.site_bodyid[number] if kind == mj.mjtObj.mjOBJ_SITE else number
+        mj.mj_rnePostConstraint(model, data)
+        # MuJoCo has torque and force that the carrying body exerts, about the centre of mass of the whole tree.
+        carried = data.cfrc_int[body]
+        lever = place - data.subtree_com[model.body_rootid[body]]
+        torque = carried[:3] - np.cross(lever, carried[3:])
+        return (-carried[3:] @ turned).tolist(), (-torque @ turned).tolist()
+
+    def _part(self, name: str) -> tuple[Any, int, npt.NDArray[np.float64], npt.NDArray[np.float64]] | None:
+        """Return kind and number of a site or body, where it is, and its axes as columns."""
+        mj, data = self._mj, self.data
+        number = mj.mj_name2id(self.model, mj.mjtObj.mjOBJ_SITE, name)
+        if number >= 0:
+            return mj.mjtObj.mjOBJ_SITE, number, data.site_xpos[number], data.site_xmat[number].reshape(3, 3)
+        number = mj.mj_name2id(self.model, mj.mjtObj.mjOBJ_BODY, name)
+        if number >= 0:
+            return mj.mjtObj.mjOBJ_XBODY, number, data.xpos[number], data.xmat[number].reshape(3, 3)
+        return None
 
     def fit(self, joint: int, inertia: float, friction: float) -> None:
         """See `Physics`."""
