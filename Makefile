@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo prove test test-slow test-real test-leaks mutants test-oracles test-lerobot test-urdf planted test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget release compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
+.PHONY: help venv demo prove badges test test-slow test-real test-leaks mutants test-oracles test-lerobot test-studio test-urdf planted test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget release compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -128,6 +128,11 @@ $(LEROBOT)/.python: pyproject.toml
 test-lerobot: $(LEROBOT)/.python ## LeRobot's bus classes with our twins, its programs with our robots (2 GB with a PyTorch without CUDA)
 	$(LEROBOT)/bin/python -m pytest tests/oracles/test_lerobot.py tests/oracles/test_lerobot_plugin.py --override-ini 'addopts=--import-mode=importlib' $(ARGS)
 
+# Chromium is the system's: a package of its distribution.
+test-studio: export ACES_STUDIO := 1
+test-studio: $(VENV)/.oracles ## the studio in a real browser (Debian: chromium, chromium-driver); ACES_PICTURES=folder keeps pictures
+	$(BIN)/python -m pytest -n 0 --benchmark-disable -q -rs tests/lab/studio $(ARGS)
+
 $(VENV)/.urdf: $(VENV)/.dev
 	@echo "installing pinocchio and public models of robots into $(VENV) (once, 170 MB)"
 	@$(call TWICE,$(PIP) --editable '.[urdf-oracle]')
@@ -216,6 +221,10 @@ guess-score: $(VENV)/.dev ## precision and recall of `aces spec guess` where the
 
 prove: $(VENV)/.dev ## prove all shipped protocols and write their badges (under ten minutes on two cores)
 	$(BIN)/python -m aces_lab.prove.shipped $(ARGS)
+
+badges: $(VENV)/.oracles ## run what badges stand for, and write them: all of the catalogue (a quarter of an hour), or ARGS="ld06"
+	$(BIN)/aces spec badge --save $(or $(ARGS),$(shell $(BIN)/python -c "import aces_bus; print(*aces_bus.list_protocols())"))
+	$(BIN)/python docs/catalogue.py
 
 golden: $(VENV)/.dev ## write the golden files anew; read the diff before you commit it
 	$(BIN)/python -m pytest tests -q --update-golden $(ARGS)

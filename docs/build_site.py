@@ -26,6 +26,7 @@ from typing import Any
 from aces_bus import list_protocols, load_protocol
 from aces_bus.protocol.draw.svg import picture_svg
 from aces_lab.exchange import print_markdown
+from aces_tools.badges import badges_of, dated
 from aces_tools.main import parser_of
 from aces_tools.proofs import badge_text, read_badges
 from aces_tools.verbs import summary_of, verbs
@@ -85,6 +86,7 @@ CONTENTS: dict[str, list[str]] = {
         "estop",
         "logging",
         "foxglove",
+        "studio",
         "lerobot",
         "ros2",
         "twins",
@@ -220,18 +222,28 @@ class Site:
             )
         body = re.sub(r"^#(?=#* )", "##", text.partition("\n")[2], flags=re.MULTILINE)
         proofs = f"Proofs: {badge_text(protocol)}.\n" if name in read_badges() else ""
-        return f"\n\n## The messages of `{variant.name}`\n\n{proofs}{body}"
+        badges = f"Badges: {dated(badges_of(name))}.\n\n" if badges_of(name) else ""
+        return f"\n\n## The messages of `{variant.name}`\n\n{badges}{proofs}{body}"
 
     def catalogue(self) -> None:
         """Write the pages that list protocols and devices."""
         for kind in ("protocols", "devices"):
             pages = [p for p in self.places.values() if p.startswith(f"catalogue/{kind}/")]
             names = [f"{kind}/{page.rpartition('/')[2]}" for page in pages]
-            what = (
-                "Each page ends with the layouts of all messages, drawn from the spec."
-                if kind == "protocols"
-                else ""
-            )
+            what = ""
+            if kind == "protocols":
+                known = [(name, badges_of(name)) for name in list_protocols()]
+                rows = [f"| `{name}` | {dated(badges)} |" for name, badges in known]
+                head = ["| protocol | badges |", "| --- | --- |"]
+                what = "\n".join(
+                    [
+                        "Each page ends with the layouts of all messages, drawn from the spec."
+                        " What a badge stands for, `aces spec badge --help` says.",
+                        "",
+                        *head,
+                        *rows,
+                    ]
+                )
             self.write(f"catalogue/{kind}", f"# {kind.capitalize()}\n\n{what}\n\n{_toctree('', names)}")
 
     def commands(self) -> None:

@@ -2,9 +2,9 @@
 `python docs/catalogue.py`.
 
 1. A manifest says who keeps a folder (`owner`), what it promises (`level`: stable, provisional), and of each `[[device]]`
-   its title, link, protocols, drivers, sources, the `oracle` that it is held against, and when that was last run
-   (`last_verified`, where it is known). Nothing else lists devices.
-2. A name links to its page; a driver without a README to its manifest.
+   its title, link, protocols, drivers, sources and the `oracle` that it is held against. Nothing else lists devices.
+2. Badges are those of `badges.json` beside the manifest, which `aces spec badge NAME --save` writes.
+3. A name links to its page; a driver without a README to its manifest.
 """
 
 from __future__ import annotations
@@ -15,13 +15,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from aces_tools.badges import LEVELS as BADGES
+from aces_tools.badges import SAVED, read_saved
+
 ROOT = Path(__file__).resolve().parent.parent
 PLACE = re.compile(r"(?<=<!-- catalogue: python docs/catalogue\.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
 LEVELS = ("stable", "provisional")
 NEEDED = ("title", "link", "protocols", "drivers", "oracle", "sources")
 #: What comes without a driver, from files of others.
 OTHERS = (
-    "| cars, trucks, boats, drones | CAN, serial | a DBC, KCD, SYM, ARXML, EDS, `canboat.json`, a MAVLink dialect | |"
+    "| cars, trucks, boats, drones | CAN, serial | a DBC, KCD, SYM, ARXML, EDS, `canboat.json`, a MAVLink dialect | | |"
     " cantools, canboat's records, pymavlink |"
 )
 
@@ -68,10 +71,15 @@ def table() -> str:
                 _linked([name], ROOT / "protocols" / "aces_protocols" / name / "README.md")
                 for name in device["protocols"]
             )
-            cells = (device["title"], device["link"], protocols, drivers, device["oracle"])
+            saved = read_saved(path.with_name(SAVED)).get(device["title"])
+            badges = " ".join(level for level in BADGES if saved is not None and level in saved.badges)
+            cells = (device["title"], device["link"], protocols, drivers, badges, device["oracle"])
             order = 0 if device["link"].startswith("CAN") else 1
             rows.append((order, device["title"].casefold(), f"| {' | '.join(cells)} |"))
-    head = ["| device | link | protocol | driver, twin | held against |", "|---|---|---|---|---|"]
+    head = [
+        "| device | link | protocol | driver, twin | badges | held against |",
+        "|---|---|---|---|---|---|",
+    ]
     return "\n".join([*head, *(row for _, _, row in sorted(rows)), OTHERS]) + "\n"
 
 

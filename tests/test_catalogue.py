@@ -6,8 +6,12 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from aces_bus import list_protocols
 from aces_bus.device.drivers import list_drivers
+from aces_tools.badges import LEVELS, installed_entries
+from aces_tools.proofs import read_badges
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -51,3 +55,28 @@ def test_the_table_is_what_the_manifests_say(request: Any) -> None:
     found = catalogue.PLACE.search((ROOT / "README.md").read_text(encoding="utf-8"))
     assert found is not None
     assert found[0] == catalogue.table(), "stale; to write it anew: python docs/catalogue.py"
+
+
+def test_badges_are_of_entries_that_say_how_they_are_earned() -> None:
+    """Silver has a driver, gold names tests that are there, platinum is a proof that is kept."""
+    for entry in installed_entries():
+        saved = entry.saved()
+        if saved is None:
+            continue  # no badge yet
+        assert set(saved.badges) <= set(LEVELS)
+        assert set(saved.protocols) == set(entry.protocols), entry.title
+        for test in [*entry.oracle_tests, *entry.driver_tests]:
+            assert (ROOT / test.partition("::")[0]).is_file(), f"{entry.title}: {test}"
+        if "silver" in saved.badges:
+            assert entry.drivers, entry.title
+        if "gold" in saved.badges:
+            assert entry.oracle_tests, entry.title
+        if "platinum" in saved.badges:
+            assert {read_badges()[name].hash for name in entry.protocols} == set(saved.protocols.values())
+
+
+@pytest.mark.slow
+def test_no_badge_is_stale() -> None:
+    """After a change of a spec or of the generator: make badges."""
+    saved = {entry.title: entry.saved() for entry in installed_entries()}
+    assert [title for title, badges in saved.items() if badges is not None and badges.is_stale()] == []

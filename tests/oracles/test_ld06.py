@@ -1,15 +1,21 @@
-"""lds2d: it reads what our encoder builds to our values, and its commands are our bytes."""
+"""lds2d: it reads what our encoder builds to our values, its commands are our bytes, and it scans the room of our twin."""
 
 from __future__ import annotations
 
+import math
 import random
+import time
 from typing import Any
 
 import pytest
 
+from aces_devices.laser import WALLS, distance_in_room
+from aces_devices.ld06 import EXAMPLE, driver
 from aces_protocols.ld06.spec import POINTS, ld06
 from tests.oracles.foreign import oracle
+from tests.oracles.serial_lines import served_line
 
+lds2d: Any = oracle("lds2d", "lds2d")
 theirs: Any = oracle("lds2d.drivers.ldrobot_ld14p", "lds2d")
 crc: Any = oracle("lds2d.crc", "lds2d")
 
@@ -54,3 +60,24 @@ def test_its_commands_are_ours() -> None:
     assert ld06.encode("Start") == theirs.build_command(0xA0)
     assert ld06.encode("Stop") == theirs.build_command(0xA1)
     assert ld06.encode("SetSpeed", speed=2160) == theirs.build_command(0xA2, (2160).to_bytes(2, "little"))
+
+
+@pytest.mark.slow
+def test_it_scans_the_twins_room() -> None:
+    """Each of its points is on a wall; its commands stop the motor and turn it at another speed."""
+    with served_line(EXAMPLE, driver) as line, lds2d.Lidar.open("LD06", line.path) as lidar:
+        scans = lidar.scans()
+        next(scans)
+        scan = next(scans)
+        assert scan.scan_freq_hz == pytest.approx(10)
+        assert len(scan.valid_points) == pytest.approx(450, abs=15)
+        for point in scan.valid_points:
+            wall = distance_in_room(WALLS, math.radians(point.angle_deg))
+            assert point.dist_mm / 1000 == pytest.approx(wall, abs=0.05)
+        twin: Any = line.twins["LIDAR"]
+        lidar.stop()
+        lidar.set_scan_freq(5)
+        end = time.monotonic() + 30
+        while (twin.is_turning or twin.rounds_hz != 5) and time.monotonic() < end:
+            time.sleep(0.01)
+        assert (twin.is_turning, twin.rounds_hz) == (False, 5)

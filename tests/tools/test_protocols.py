@@ -23,6 +23,26 @@ def test_every_installed_protocol_is_listed(aces: Aces) -> None:
     assert "inverted sum" in result.out
 
 
+def test_a_search_lists_those_with_all_words(aces: Aces) -> None:
+    """In names, texts, devices and messages; nothing found is exit status 1."""
+    out = aces("protocols", "--search", "imu").out
+    names = re.findall(r"^\w+", out, re.MULTILINE)
+    assert {"hubo", "vectornav"} <= set(names)
+    assert "robotis" not in names
+    assert re.match(r"ld06 .*\brplidar ", aces("protocols", "--search", "LIDAR").out, re.DOTALL)
+    nothing = aces("protocols", "--search", "imu lidar")
+    assert (nothing.status, nothing.out) == (1, "")
+    assert aces("protocols", "hubo", "--search", "imu").status == 2
+
+
+def test_badges_are_shown(aces: Aces) -> None:
+    """In the list by their names, with their days for one protocol."""
+    assert re.search(r"^lx16a .* messages · bronze silver gold", aces("protocols").out, re.MULTILINE)
+    shown = r"badges of Hiwonder LX-16A: bronze, silver, gold.* 20\d\d-\d\d-\d\d"
+    assert re.search(shown, aces("protocols", "lx16a").out)
+    assert "gold" in json.loads(aces("protocols", "lx16a", "--json").out)["badges"]
+
+
 def test_a_protocol_without_a_check_says_so(aces: Aces) -> None:
     """What is taken for a packet without proof is marked `unchecked`."""
     assert "check: unchecked" in aces("protocols", "minihubo_adc").out

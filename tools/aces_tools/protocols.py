@@ -6,23 +6,28 @@
   aces protocols hubo:D08 NameInfo  in one dialect; also my_spec.py NameInfo
   aces protocols car.dbc            of a database; what cannot be used of it
                                     is listed on stderr
+  aces protocols --search imu       those with this word in their name, text,
+                                    devices or messages
 
 `unchecked` protocols have no check in their packets: what looks like a packet
 is taken for one. Frames on CAN are checked by the bus itself. → goes to the
 device, ← comes from it. In pictures, -1 is the last byte of a packet whose
-length is not fixed, and `11…8` are bits of the field's own number.
+length is not fixed, and `11…8` are bits of the field's own number. Badges say
+what was run of a protocol, and when: 'aces spec badge --help' has their
+meaning.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from construct import ConstructError
 
 from aces_bus import list_protocols, make_scanner
-from aces_bus.errors import AcesError, UnknownNameError
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol import Message, Protocol, Variant
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.registers import Register
@@ -34,6 +39,7 @@ from aces_bus.protocol.generate.load import print_decoders
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.flatten import NotFlat, flatten, scalar_of
 
+from .badges import badges_of, dated, entries_with
 from .console import counted, print_json, say
 from .options import COLOR, JSON, Arguments, argument, flag
 from .output.columns import Page
@@ -45,6 +51,7 @@ SUMMARY = "list protocols, their messages, and the layout of a message"
 ARGUMENTS: Arguments = (
     argument("protocol", nargs="?", metavar="NAME", help="as -p of 'aces decode'"),
     argument("message", nargs="?", metavar="MESSAGE", help="one of its messages"),
+    argument("--search", metavar="WORDS", help="list the protocols that have these words"),
     JSON,
     flag("--source", help="print the Python that is generated from the spec to decode it"),
     COLOR,
@@ -53,6 +60,8 @@ ARGUMENTS: Arguments = (
 
 def run(arguments: argparse.Namespace) -> int:
     name: str | None = arguments.protocol
+    if name is not None and arguments.search:
+        raise CallerError("--search lists protocols: name none beside it")
     if name is None:
         return _list(arguments)
     chosen = named_protocol(name)
@@ -100,6 +109,16 @@ def _list(arguments: argparse.Namespace) -> int:
         except AcesError as error:
             say(str(error))
             status = 2
+    if arguments.search:
+        # Where a word begins or ends: "imu" is not in "simulate", and "lidar" is in "RPLIDAR".
+        words = [
+            re.compile(rf"\b{re.escape(word)}|{re.escape(word)}\b", re.IGNORECASE)
+            for word in arguments.search.split()
+        ]
+        found = [p for p in found if all(word.search(_searched(p)) for word in words)]
+        if not found:
+            say(f"no installed protocol has {arguments.search!r}")
+            return 1
     if arguments.json:
         print_json([{**_of_protocol(protocol), "messages": len(protocol.declared)} for protocol in found])
         return status
@@ -110,8 +129,23 @@ def _list(arguments: argparse.Namespace) -> int:
     return status
 
 
+def _searched(protocol: Protocol) -> str:
+    """Return the text in which --search looks: names apart at underscores and capitals."""
+    texts = [protocol.name, protocol.doc, protocol.source]
+    for entry in entries_with(protocol.name):
+        texts += [entry.title, *entry.drivers, *entry.sources]
+    for message in protocol.declared:
+        texts += [message.name, re.sub(r"(?<=[a-z])(?=[A-Z])", " ", message.name), message.doc]
+    return "\n".join([*texts, *(text.replace("_", " ") for text in texts)])
+
+
 def _facts(protocol: Protocol) -> list[str]:
-    head = [_LINKS[protocol.link], _speed(protocol), counted(len(protocol.declared), "message")]
+    head = [
+        _LINKS[protocol.link],
+        _speed(protocol),
+        counted(len(protocol.declared), "message"),
+        " ".join(badges_of(protocol.name)),
+    ]
     dialects = _defaulted(protocol.dialects, protocol.dialect)
     configurations = _defaulted(protocol.configurations, protocol.configuration)
     lines = [
@@ -176,6 +210,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
         *([f"source: {protocol.source}"] if protocol.source else []),
         f"declared in {protocol.place}",
         *([f"proofs: {badge_text(protocol)}"] if protocol.name in read_badges() else []),
+        *_badge_lines(protocol),
     ]
     page.beside(protocol.name, facts, "message")
     page.lines([""])
@@ -202,6 +237,18 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
     for table in protocol.register_maps:
         page.lines(["", *([table.doc] if len(protocol.register_maps) > 1 else [])])
         _print_registers(list(table.values()), page)
+
+
+def _badge_lines(protocol: Protocol) -> list[str]:
+    """Return a line for each entry of the catalogue: its badges with their days, or that they are stale."""
+    lines: list[str] = []
+    for entry in entries_with(protocol.name):
+        saved = entry.saved()
+        if saved is not None:
+            days = {level: earned.date for level, earned in saved.badges.items()}
+            stale = f"stale, run aces spec badge {protocol.name}: " if saved.is_stale() else ""
+            lines.append(f"badges of {entry.title}: {stale}{dated(days)}")
+    return lines
 
 
 _ARROWS = {None: "", "to device": "→", "from device": "←"}
@@ -383,6 +430,7 @@ def _of_protocol(protocol: Protocol) -> dict[str, Any]:
         "check": _check(protocol),
         "doc": protocol.doc,
         "source": protocol.source,
+        "badges": badges_of(protocol.name),
         "registers": [_of_register(r) for r in (protocol.register_map or {}).values()],
     }
 

@@ -11,19 +11,18 @@ Source: SLAMTEC, RPLIDAR Interface Protocol (A1 & A2 rev. 1.1).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, HostLoss, Job, Steps, Ticket
+from aces_bus.device import Driver, Job, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import NoReplyError
 from aces_bus.protocol import Record
 
+from ..laser import LaserScanner, Point
 from .twin import RplidarTwin
 
 #: How long an answer may take (s), and how long measurements may fail to come before a scan is begun anew (ns).
@@ -53,22 +52,13 @@ class RplidarSettings(msgspec.Struct, frozen=True, kw_only=True):
     ) = None
 
 
-class Point(NamedTuple):
-    """One distance: clockwise angle (rad), distance (m), quality 0 … 63 (of express scans always 0: they have none)."""
-
-    angle: float
-    distance: float
-    quality: int
-
-
-class Rplidar(Device):
+class Rplidar(LaserScanner):
     """Signals of a round: nearest (m), nearest_angle (rad), points, rate (Hz); health: 0 good, 1 warning, 2 error.
 
     `round` has all points of the last whole round; `on_round` is called with it, on the bus's loop.
     """
 
     protocol = "rplidar"
-    when_host_is_lost = HostLoss("nothing moves", "a sensor; its motor turns on")
     actions: ClassVar = {
         "info": "read model, versions and serial number; the scan is begun anew",
         "scan": "measure, until `pause`",
@@ -76,31 +66,20 @@ class Rplidar(Device):
         "reset": "begin as switched on",
     }
     asking: ClassVar = ("info",)
-    attributes: ClassVar = Device.attributes | {"settings", "round", "on_round", "is_wanted"}
+    attributes: ClassVar = LaserScanner.attributes | {"is_wanted"}
 
     def setup(self) -> None:
         """Add the signals of a round, and the health."""
         self.settings = settings_of(self.name, RplidarSettings, self.config.settings)
-        self.round: tuple[Point, ...] = ()
-        self.on_round: Callable[[tuple[Point, ...]], None] | None = None
         self.is_wanted = True
-        self._points: list[Point] = []
         self._alarms: set[str] = set()
-        self._begun: int | None = None
         self._measured = -BROKEN_NS
         #: Of express scans: the packet before, and how far the motor turned from one to the next (°).
         self._before: Any = None
         self._turned: float | None = None
         self.is_express = "ExpressMeasurements" in self.variant.messages
-        known: dict[str, Any] = {
-            "read_from": ["ExpressMeasurements" if self.is_express else "Measurement"],
-            "stale_s": STALE_S,
-            "source": "RPLIDAR protocol, figure 4-4",
-        }
-        self.add_signal("nearest", unit="m", doc="least distance of the round", **known)
-        self.add_signal("nearest_angle", unit="rad", doc="where that is, clockwise from the front", **known)
-        self.add_signal("points", doc="distances of the round that were measured", **known)
-        self.add_signal("rate", unit="Hz", doc="rounds a second", **known)
+        message = "ExpressMeasurements" if self.is_express else "Measurement"
+        self.add_round(message, STALE_S, "RPLIDAR protocol, figure 4-4")
         self.add_signal(
             "health",
             read_from=["Health"],
@@ -156,9 +135,8 @@ class Rplidar(Device):
             return
         self._measured = instant
         if record.turn == "begins":
-            self._ended(instant)
-        if record.distance and self._begun is not None:
-            self._points.append(Point(math.radians(record.angle), record.distance / 1000, record.quality))
+            self.end_round(instant)
+        self.take_point(record.angle, record.distance, record.quality)
 
     def _spread(self, record: Any, instant: int) -> None:
         """Take the distances of the packet before, now that the next angle is known (figure 4-12)."""
@@ -170,37 +148,15 @@ class Rplidar(Device):
         usual, self._turned = self._turned, turned
         if usual is not None and turned > MOST_TURNED * usual:
             self._turned = None  # a packet between them was lost
-            self._begun, self._points = None, []
+            self.drop_round()
             return
         for number, (distance, compensation) in enumerate(
             zip(before.distances, before.compensations, strict=True)
         ):
             nominal = before.angle + turned * number / len(before.distances)
             if nominal >= 360 > nominal - turned / len(before.distances):
-                self._ended(instant)
-            if distance and self._begun is not None:
-                angle = math.radians((nominal - compensation) % 360)
-                self._points.append(Point(angle, distance / 1000, 0))
-
-    def _ended(self, instant: int) -> None:
-        """Take a round that is over, and begin the next."""
-        begun, self._begun = self._begun, instant
-        points, self._points = tuple(self._points), []
-        if begun is None:
-            return  # the first one may have begun before we listened
-        self.round = points
-        values: dict[str, float | None] = {"points": len(points), "rate": 1e9 / max(1, instant - begun)}
-        nearest = min(points, key=lambda point: point.distance, default=None)
-        values["nearest"] = None if nearest is None else nearest.distance
-        values["nearest_angle"] = None if nearest is None else nearest.angle
-        for name, value in values.items():
-            signal = self.signals[f"{self.name}.{name}"]
-            if value is None:
-                signal.forget()
-            else:
-                signal.update(value, instant)
-        if self.on_round is not None:
-            self.on_round(points)
+                self.end_round(instant)
+            self.take_point((nominal - compensation) % 360, distance, 0)
 
     # ------------------------------------------------------------------ actions
 
@@ -228,12 +184,12 @@ class Rplidar(Device):
     def pause(self) -> Ticket:
         """End the scan, until `scan`."""
         self.is_wanted = False
-        self._begun, self._points = None, []
+        self.drop_round()
         return self.send("Stop")
 
     def reset(self) -> Ticket:
         """Begin as switched on; the scan is begun anew."""
-        self._begun, self._points = None, []
+        self.drop_round()
         return self.send("Reset")
 
 

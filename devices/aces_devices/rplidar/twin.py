@@ -15,12 +15,14 @@ from aces_bus.protocol import Record
 from aces_bus.protocol.record import FieldValue
 from aces_protocols.rplidar.spec import EXPRESS
 
+from ..laser import WALLS, distance_in_room
+
 #: Rounds a second; measurements a second; measurements in a burst.
 ROUNDS_HZ, SAMPLES_HZ, BURST = 5.5, 2000, 8
 #: The time of a measurement, standard and express (µs): 2,000 and 4,000 a second.
 SAMPLE_US, EXPRESS_US = 500, 250
-#: Walls in front of, right of, behind and left of the scanner (m); a choice. What is farther away is not measured (m).
-WALLS, FARTHEST = (3.0, 2.0, 1.5, 2.5), 12.0
+#: What is farther away is not measured (m).
+FARTHEST = 12.0
 NOISE, QUALITY = 0.003, 15
 SERIAL = bytes.fromhex("64E699F3C7E59AF0A2E69DF8F1373500")
 
@@ -46,11 +48,7 @@ class RplidarTwin(Twin):
 
     def distance(self, angle: float) -> float:
         """Return the distance of the room's wall at an angle clockwise from the front (rad)."""
-        x, y = math.cos(angle), math.sin(angle)
-        front, right, back, left = self.walls
-        ways = [(front if x > 0 else back) / abs(x)] if abs(x) > 1e-9 else []
-        ways += [(right if y > 0 else left) / abs(y)] if abs(y) > 1e-9 else []
-        return min(ways)
+        return distance_in_room(self.walls, angle)
 
     def _is_measuring(self, *, is_express: bool) -> bool:
         if "quiet" in self.active_faults:

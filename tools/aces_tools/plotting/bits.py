@@ -47,6 +47,8 @@ class BitPicture:
     chosen: Sequence[BitImage]
     title: str = ""
     style: str | None = None
+    #: Names of the images, where these are not of identifiers.
+    labels: Sequence[str] = ()
 
     @property
     def x_label(self) -> str:
@@ -55,6 +57,8 @@ class BitPicture:
 
     def names(self) -> list[str]:
         """Return the identifier of each image, behind its channel where there are several."""
+        if self.labels:
+            return [*self.labels]
         several = len({image.identifier.channel for image in self.images.images.values()}) > 1
         return [
             f"{image.identifier.channel} {image.identifier}" if several else str(image.identifier)

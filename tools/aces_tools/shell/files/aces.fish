@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot 'robot attach' 'robot export' 'robot serve' 'robot served' devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion jog teleop
-set -g _shtab_aces_opts_with_value --a --acts --against --answer --as --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --domain --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gamepad --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --physics --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --ros2-bag --ros2-interface --ros2-peer --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot 'robot attach' 'robot export' 'robot serve' 'robot served' devices device 'device fuzz' stop discover sim run protocols spec 'spec badge' 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion jog studio teleop
+set -g _shtab_aces_opts_with_value --a --acts --against --answer --as --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --delay --device --diff --direction --domain --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gamepad --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --physics --port --pose --protocol --queue --rate --raw --record --reference --rename --replay --reply --rests-after --robot --ros2-bag --ros2-interface --ros2-peer --rotate --rows-hz --search --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --time-column --timing --title --to --udp --unit --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -497,13 +497,21 @@ complete -c aces -n '_shtab_aces_using run' -l ros2-peer -x -d 'with --ros2-inte
 complete -c aces -n '_shtab_aces_using run; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'FILE.py, FILE.py:NAME, or a file of set-points'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a protocols -d 'list protocols, their messages, and the layout of a message'
 complete -c aces -n '_shtab_aces_using protocols' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using protocols' -l search -x -d 'list the protocols that have these words'
 complete -c aces -n '_shtab_aces_using protocols' -l json -d 'JSON on standard output, for programs'
 complete -c aces -n '_shtab_aces_using protocols' -l source -d 'print the Python that is generated from the spec to decode it'
 complete -c aces -n '_shtab_aces_using protocols' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using protocols' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using protocols; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'as -p of '"'"'aces decode'"'"''
-complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a spec -d 'check, explain, export, guess, import, new, prove, show, stubs'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a spec -d 'badge, check, explain, export, guess, import, new, prove, …'
 complete -c aces -n '_shtab_aces_using spec' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a badge -d 'run what a protocol'"'"'s badges stand for, and say which it has'
+complete -c aces -n '_shtab_aces_using spec badge' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using spec badge' -l save -d 'write the badges beside the manifest, with the date'
+complete -c aces -n '_shtab_aces_using spec badge' -l prove -d 'prove it now (needs z3; minutes), unless a proof of it is kept'
+complete -c aces -n '_shtab_aces_using spec badge' -l json -d 'JSON on standard output, for programs'
+complete -c aces -n '_shtab_aces_using spec badge' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
+complete -c aces -n '_shtab_aces_using spec badge; and test $_shtab_aces_npos -ge 0' -ka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'specs, which are executed, or installed protocols'
 complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a check -d 'find what is wrong or doubtful in a spec, with file and line'
 complete -c aces -n '_shtab_aces_using spec check' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using spec check' -l notes -d 'show notes too, instead of counting them'
@@ -667,6 +675,14 @@ complete -c aces -n '_shtab_aces_using jog' -l ros2-commands -d 'with --ros2: ta
 complete -c aces -n '_shtab_aces_using jog' -l ros2-bag -xka "(__fish_complete_path (commandline -ct))" -d 'with --ros2: write all that is published, as a bag'
 complete -c aces -n '_shtab_aces_using jog' -l ros2-interface -x -d 'with --ros2: this network interface in place of loopback'
 complete -c aces -n '_shtab_aces_using jog' -l ros2-peer -x -d 'with --ros2-interface: a machine that is looked for there'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a studio -d 'look at a recording or a bus, in the browser'
+complete -c aces -n '_shtab_aces_using studio' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using studio' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'protocols, as of '"'"'aces decode'"'"'; the first that fits wins'
+complete -c aces -n '_shtab_aces_using studio' -l direction -x -d 'which way the bytes went: to or from the device; both pairs requests and replies'
+complete -c aces -n '_shtab_aces_using studio' -l port -x -d 'default: one that is free'
+complete -c aces -n '_shtab_aces_using studio' -l no-browser -d 'print the address, and open no browser'
+complete -c aces -n '_shtab_aces_using studio' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
+complete -c aces -n '_shtab_aces_using studio; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'recordings of one bus or line, or a bus: can0, unix:can0, /dev/ttyUSB0@57600, udp:14550'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a teleop -d 'have an arm follow another that is moved by hand; with --tx'
 complete -c aces -n '_shtab_aces_using teleop' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using teleop' -l tx -d 'really move it; without, set-points are shown and not sent'

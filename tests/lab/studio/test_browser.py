@@ -1,0 +1,187 @@
+"""The studio in a real browser: `make test-studio`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from tests.lab.studio.browser import CHROMIUM, DRIVER, dress, eventually, open_browser, served
+
+pytest.importorskip("nicegui", reason="needs NiceGUI: the extra [studio]")
+pytest.importorskip("selenium", reason="needs selenium: the extra [oracles]")
+if not os.environ.get("ACES_STUDIO"):
+    pytest.skip("a browser is started for these: make test-studio", allow_module_level=True)
+if not (CHROMIUM and DRIVER):
+    pytest.skip(
+        "needs chromium and chromedriver (Debian: chromium, chromium-driver)", allow_module_level=True
+    )
+
+CAPTURES = Path(__file__).resolve().parents[3] / "examples" / "captures"
+HOSTILE = "<img src=x onerror=document.title='owned'>"
+
+
+def texts(driver: Any, selector: str) -> list[str]:
+    """Texts of all elements that a selector finds."""
+    found: list[str] = driver.execute_script(
+        "return [...document.querySelectorAll(arguments[0])].map((e) => e.innerText)", selector
+    )
+    return found
+
+
+def click(driver: Any, selector: str, text: str = "") -> None:
+    """Click on the first element that a selector finds, and that has this text."""
+    from selenium.common.exceptions import StaleElementReferenceException
+
+    def is_clicked() -> bool:
+        try:
+            found = [e for e in driver.find_elements("css selector", selector) if text in e.text]
+            if found:
+                found[0].click()
+        except StaleElementReferenceException:  # the page was just updated
+            return False
+        return bool(found)
+
+    eventually(is_clicked)
+
+
+def type_in(driver: Any, selector: str, text: str) -> None:
+    """Type into an input in place of what it has."""
+    box = eventually(lambda: driver.find_element("css selector", selector))
+    box.send_keys("\ue009a\ue000", text)  # Ctrl-A
+
+
+def downloaded(folder: Path, name: str) -> bytes:
+    """Content of a file that the browser saved."""
+    return eventually(lambda: (folder / name).read_bytes() if (folder / name).exists() else b"")
+
+
+class Page(NamedTuple):
+    """A browser, the address of the studio that it may open, and the folder of both."""
+
+    driver: Any
+    url: str
+    folder: Path
+
+    def open(self, width: int = 1400, *, dark: bool = False) -> Any:
+        """Open the page anew; returns the browser."""
+        dress(self.driver, width, dark=dark)
+        self.driver.get(self.url)
+        eventually(lambda: len(texts(self.driver, "tr[data-row]")) > 10)
+        return self.driver
+
+
+@pytest.fixture(scope="module")
+def hubo(tmp_path_factory: pytest.TempPathFactory) -> Generator[Page]:
+    """A browser and a studio with a recording of Hubo 2+."""
+    folder = tmp_path_factory.mktemp("hubo")
+    (folder / "walk.log").write_bytes((CAPTURES / "hubo2plus.log").read_bytes())
+    with served("walk.log", "-p", "hubo", folder=folder) as url, open_browser(folder) as driver:
+        yield Page(driver, url, folder)
+
+
+def test_traffic_shows_sorts_filters_and_saves(hubo: Page) -> None:
+    """Rows have counts and decoded fields; a click on a head sorts; words of --where filter; rows and pictures are saved."""
+    driver = hubo.open()
+    assert "token" not in driver.current_url
+    assert any("Encoder" in row and "position=" in row for row in texts(driver, "tr[data-row]"))
+    click(driver, "th", "Count")
+    click(driver, "th", "Count")
+    eventually(lambda: texts(driver, "tr[data-row]")[0].startswith("001"))
+    type_in(driver, "input", "board=3 and position.0>2000")
+    eventually(lambda: {row.split()[1] for row in texts(driver, "tr[data-row]")} == {"Reference", "Encoder"})
+    eventually(lambda: "--where" in texts(driver, ".studio-command")[0])
+    type_in(driver, "input", "nothing=3")
+    eventually(lambda: any("nothing" in text for text in texts(driver, ".studio-bar")))
+    type_in(driver, "input", "tilt")
+    eventually(lambda: len(texts(driver, "tr[data-row]")) == 1)
+    click(driver, ".studio-foot button", "CSV")
+    rows = list(csv.DictReader(downloaded(hubo.folder, "traffic.csv").decode().splitlines()))
+    assert [(row["id"], row["message"], row["frames"]) for row in rows] == [("051", "Tilt", "5")]
+    click(driver, ".studio-foot button", "PARQUET")
+    assert downloaded(hubo.folder, "traffic.parquet").startswith(b"PAR1")
+    click(driver, ".studio-foot button", "SVG")
+    assert b"<svg" in downloaded(hubo.folder, "traffic.svg")
+    errors = [line for line in driver.get_log("browser") if line["level"] == "SEVERE"]
+    assert errors == []
+
+
+def test_only_rows_in_sight_are_in_the_page(hubo: Page) -> None:
+    """The page has the rows that are in sight, and others when it is scrolled."""
+    driver = hubo.open()
+    first = texts(driver, "tr[data-row]")
+    assert len(first) < 39
+    driver.execute_script("document.querySelector('.traffic').scrollTop = 1e6")
+    eventually(lambda: texts(driver, "tr[data-row]")[-1] not in first)
+    assert len(texts(driver, "tr[data-row]")) < 39
+
+
+def test_the_page_asks_for_nothing_outside(hubo: Page) -> None:
+    """All that the page loads comes from this machine."""
+    driver = hubo.open()
+    asked = [
+        entry["params"]["request"]["url"]
+        for line in driver.get_log("performance")
+        if (entry := json.loads(line["message"])["message"])["method"] == "Network.requestWillBeSent"
+    ]
+    assert len(asked) > 5
+    assert [u for u in asked if u.startswith("http") and not u.startswith("http://127.0.0.1:")] == []
+
+
+def test_without_the_token_nothing_is_shown(hubo: Page) -> None:
+    """A browser that has no cookie gets the reason, and no data."""
+    hubo.driver.delete_all_cookies()
+    hubo.driver.get(hubo.url.partition("?")[0])
+    assert "no cookie" in hubo.driver.find_element("css selector", "body").text
+
+
+def test_hostile_texts_stay_text(hubo: Page, tmp_path: Path) -> None:
+    """Names, units and payload texts of a database or a recording are shown as they are, and run nothing."""
+    (tmp_path / "evil.py").write_text(
+        "from aces_bus.protocol import Protocol, Quantity, Text\n"
+        "from construct import Int8ub, Struct\n"
+        'evil = Protocol("evil", link="can")\n'
+        f'evil.message("Spoken", id=0x10, payload=Struct("text" / Text(8)), doc="{HOSTILE}")\n'
+        f'evil.message("Measured", id=0x11, payload=Struct("speed" / Quantity(Int8ub, unit="{HOSTILE}")))\n',
+        encoding="utf-8",
+    )
+    lines = [
+        f"(1.000000) <b>x</b> 010#{b'<script>'.hex().upper()}",
+        "(1.100000) can0 011#05",
+        "(1.200000) can0 7FF#00",
+    ]
+    (tmp_path / "<i>walk.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    driver = hubo.driver
+    with served("<i>walk.log", "-p", "evil.py", folder=tmp_path) as url:
+        driver.get(url)
+        rows = eventually(lambda: texts(driver, "tr[data-row]"))
+        page = "\n".join(rows)
+        assert "<script>" in page
+        assert HOSTILE in page
+        assert "<b>x</b>" in page
+        time.sleep(0.5)  # what is run would be run by now
+        assert driver.title == "aces studio"
+        assert driver.find_elements("css selector", ".traffic img, .traffic script, .studio-title i") == []
+
+
+@pytest.mark.parametrize("width", [1400, 800])
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_pages_fit_their_width(hubo: Page, width: int, dark: bool) -> None:
+    """Nothing is wider than the window, in the light and in the dark; `ACES_PICTURES` names a folder for pictures."""
+    driver = hubo.open(width, dark=dark)
+    for view in eventually(lambda: texts(driver, ".q-tab")):
+        click(driver, ".q-tab", view.strip())
+        eventually(lambda: texts(driver, ".studio-command"))
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        colour = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, colour[4:-1].split(","))) < 200) is dark
+        if folder := os.environ.get("ACES_PICTURES"):
+            time.sleep(0.5)
+            shade = "dark" if dark else "light"
+            driver.save_screenshot(str(Path(folder, f"{view.strip().lower()}-{width}-{shade}.png")))

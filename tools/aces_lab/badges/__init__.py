@@ -1,0 +1,1 @@
+"""Badges of protocols: what was run of an entry of the catalogue, or of a file, and passed."""
