@@ -18,7 +18,7 @@ import numpy as np
 from aces_bus import Frame, FrameTable
 from aces_bus.frame_table import NO_TIME, widened
 from aces_bus.frames import FD, REMOTE
-from aces_bus.traffic import BusIdentifier, FrameCount, IdentifierCounts
+from aces_tools.reading.traffic import BusIdentifier, FrameCount, IdentifierCounts
 
 from .pictures import Array
 

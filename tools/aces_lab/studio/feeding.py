@@ -12,9 +12,9 @@ from aces_bus.errors import AcesError
 from aces_bus.frame_table import NO_TIME, Channels, to_ns
 from aces_bus.protocol import Variant
 from aces_bus.recordings.base import CanRecording, SerialRecording
-from aces_bus.recordings.pieces import Direction, SerialWays, open_any
 from aces_tools.bus_arg import ChosenBus
 from aces_tools.live import received_frame
+from aces_tools.reading.pieces import Direction, SerialWays, open_any
 
 from .capture import Capture
 

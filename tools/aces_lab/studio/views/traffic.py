@@ -19,8 +19,8 @@ from aces_bus import make_scanner
 from aces_bus.errors import AcesError
 from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.record_plans import plans_of
-from aces_bus.recordings.where import Where
 from aces_tools.plotting.bits import save_bits
+from aces_tools.reading.where import Where
 from aces_tools.screen.values import FieldsOfKinds
 
 from ..capture import TrafficRow
