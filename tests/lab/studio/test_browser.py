@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import time
 from collections.abc import Generator
@@ -185,3 +186,86 @@ def test_pages_fit_their_width(hubo: Page, width: int, dark: bool) -> None:
             time.sleep(0.5)
             shade = "dark" if dark else "light"
             driver.save_screenshot(str(Path(folder, f"{view.strip().lower()}-{width}-{shade}.png")))
+
+
+# ---------------------------------------------------------------------- bits
+
+
+@pytest.fixture
+def car(hubo: Page, tmp_path: Path) -> Generator[Page]:
+    """The browser on a recording of a drawn car, and a draft that does not exist yet."""
+    write_car(tmp_path / "car.log")
+    with served("car.log", "-o", "draft.py", folder=tmp_path) as url:
+        yield Page(hubo.driver, url, tmp_path)
+
+
+def write_car(path: Path) -> None:
+    """Write a recording: an angle (int16 little, 0.1 deg), a speed (uint16 big, 0.05 m/s) and a counter at 0x123."""
+    with path.open("w", encoding="ascii") as file:
+        for n in range(1500):
+            time_s = 1000 + n / 100
+            angle = round(300 * math.sin(time_s)) & 0xFFFF
+            speed = round(400 + 300 * math.sin(time_s / 3))
+            file.write(
+                f"({time_s:.6f}) can0 123#{angle.to_bytes(2, 'little').hex()}{speed:04x}{n % 16:02x}00\n"
+            )
+            file.write(f"({time_s + 0.001:.6f}) can0 200#{4 * speed:04x}\n")
+
+
+def drag(driver: Any, first: int, last: int) -> None:
+    """Draw with the mouse from one bit of the grid to another."""
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    cells = [driver.find_element("css selector", f"[data-bit='{bit}']") for bit in (first, last)]
+    chain = ActionChains(driver, duration=50).move_to_element(cells[0]).click_and_hold()
+    chain.move_to_element(cells[1]).pause(0.1).release().perform()
+
+
+def labelled(label: str) -> str:
+    return f"input[aria-label='{label}']"
+
+
+def draw(driver: Any, name: str, first: int, last: int, *, scale: str = "1", unit: str = "") -> None:
+    """Draw a field, fill in its form, and add it."""
+    drag(driver, first, last)
+    for label, text in (("name", name), ("scale", scale), ("unit", unit)):
+        if text not in ("1", ""):
+            type_in(driver, labelled(label), text)
+    eventually(lambda: driver.find_element("css selector", labelled("name")).get_attribute("value") == name)
+    time.sleep(0.3)  # the form is sent as it is typed
+    click(driver, "button", "Add field")
+    eventually(lambda: any(name in line for line in texts(driver, ".bits-list tr")))
+
+
+def test_a_spec_is_drawn_saved_and_checked(car: Page) -> None:
+    """Fields drawn over bits become a spec in the draft's file, checked; changed outside it is read by a click."""
+    driver, draft = car.driver, car.folder / "draft.py"
+    dress(driver)
+    driver.get(car.url)
+    eventually(lambda: len(texts(driver, "tr[data-row]")) == 2)
+    click(driver, "tr[data-row]", "123")
+    eventually(lambda: any("counter" in line for line in texts(driver, ".bits-list tr")))  # guessed
+    drag(driver, 7, 8)
+    assert eventually(
+        lambda: driver.find_element("css selector", labelled("bits")).get_attribute("value") == "16"
+    )
+    click(driver, ".q-checkbox")
+    draw(driver, "angle", 7, 8, scale="0.1", unit="deg")
+    click(driver, ".q-btn-toggle button", "big")
+    draw(driver, "speed", 23, 24, scale="0.05", unit="m/s")
+    assert "speed" in texts(driver, ".bits-text")[0]
+    drag(driver, 35, 32)
+    if folder := os.environ.get("ACES_PICTURES"):
+        time.sleep(0.5)
+        driver.save_screenshot(str(Path(folder, "drawn-1400-light.png")))
+    click(driver, "button", "Save and check")
+    eventually(lambda: draft.exists())
+    source = draft.read_text(encoding="utf-8")
+    assert '"angle" / Quantity(bits(16, signed=True), unit="deg", scale=0.1)' in source
+    assert '"speed" / Quantity(bits(16, order="msb"), unit="m/s", scale=0.05)' in source
+    eventually(lambda: "example" in texts(driver, ".bits-text")[1])
+    draft.write_text(source + "# mine\n", encoding="utf-8")
+    click(driver, "button", "Run draft.py and read it")
+    eventually(lambda: texts(driver, ".bits-text")[1] == "read")
+    click(driver, ".q-tab", "Traffic")
+    eventually(lambda: any("angle=" in row and "speed=" in row for row in texts(driver, "tr[data-row]")))

@@ -86,6 +86,11 @@ class TrafficRow:
         return self.name if self.identifier.key < 0 else str(self.identifier)
 
     @property
+    def last(self) -> Columns:
+        """The newest frame alone."""
+        return Columns(*(array[-1:] for array in self._pieces[-1]))
+
+    @property
     def data(self) -> bytes:
         """The bytes of the newest frame."""
         if not self._pieces:

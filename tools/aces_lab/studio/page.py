@@ -18,7 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from nicegui import run, ui
 
@@ -70,7 +70,7 @@ class StudioView(ABC):
         """Draw the view into a file, SVG or PNG by its suffix. Raises `CallerError`."""
         raise NotImplementedError
 
-    def table(self) -> Mapping[str, Sequence[Any]]:
+    def table(self) -> Mapping[str, Sequence[object]]:
         """Return the rows of the view as columns of the same length."""
         return {}
 
@@ -196,7 +196,7 @@ class StudioPage:
         return _parquet(columns)
 
 
-def _parquet(columns: Mapping[str, Sequence[Any]]) -> bytes:
+def _parquet(columns: Mapping[str, Sequence[object]]) -> bytes:
     from aces_bus.errors import CallerError
 
     try:

@@ -1,7 +1,7 @@
 """The web server of the studio, on loopback; and what all pages share.
 
 1. The socket is bound before anything is printed, and to this machine alone.
-2. No path comes from a page: recordings and protocols are those of the command line.
+2. No path comes from a page: recordings, protocols and the draft are those of the command line.
 3. A page is built anew for each browser tab; what a tab sorts, filters or marks is its own.
 """
 
@@ -10,13 +10,16 @@ from __future__ import annotations
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
 
 from .capture import Capture
 from .gate import PageGate
+
+if TYPE_CHECKING:
+    from .draft import Draft
 
 HOST = "127.0.0.1"
 #: Connections at once: browsers open six for each page.
@@ -25,7 +28,7 @@ MOST_CONNECTIONS = 128
 
 @dataclass
 class Studio:
-    """What the command line named: the capture, and the protocols that decode it."""
+    """What the command line named: the capture, the protocols that decode it, the draft."""
 
     capture: Capture
     variants: Sequence[Variant] = ()
@@ -33,6 +36,7 @@ class Studio:
     recordings: Sequence[str] = ()
     protocols: Sequence[str] = ()
     bus: str = ""
+    draft: Draft | None = None
 
     @property
     def title(self) -> str:

@@ -1,14 +1,16 @@
-"""Look at a recording or a bus in the browser.
+"""Look at a recording or a bus in the browser, and draw a protocol of it.
 
   aces studio walk.log -p hubo          traffic and bits of a recording
   aces studio can0 -p car.dbc           of a bus, live; nothing is sent
+  aces studio drive.log -o car.py       draw fields over bits: the spec is saved
+                                        in car.py, checked, and diffed
   aces studio walk.log --port 8123 --no-browser
                                         print the page's address alone
 
 The page is served to this machine alone, and needs no network. Its address
 has a token, which the browser exchanges for a cookie: give it to nobody.
-The page reads only what the command line names. Every view shows the command
-line that gives the same.
+The page reads and writes only what the command line names. Every view shows
+the command line that gives the same.
 
 Ctrl-C ends it.
 """
@@ -21,11 +23,11 @@ import webbrowser
 
 from aces_bus.errors import CallerError
 from aces_tools.bus_arg import chosen_end
-from aces_tools.console import say
-from aces_tools.options import DIRECTION, PROTOCOL, Arguments, argument, at_least, flag
+from aces_tools.console import check_not_read, check_suffix, say
+from aces_tools.options import DIRECTION, OUTPUT, PROTOCOL, Arguments, argument, at_least, flag
 from aces_tools.protocols_arg import parse_protocols
 
-SUMMARY = "look at a recording or a bus, in the browser"
+SUMMARY = "look at a bus and draw a protocol, in the browser"
 
 ARGUMENTS: Arguments = (
     argument(
@@ -36,6 +38,7 @@ ARGUMENTS: Arguments = (
     ),
     PROTOCOL,
     DIRECTION,
+    OUTPUT.but(metavar="draft.py", help="the spec that is drawn: begun, or read if it is there already"),
     argument("--port", type=at_least(0), default=0, metavar="N", help="default: one that is free"),
     flag("--no-browser", help="print the address, and open no browser"),
 )
@@ -43,10 +46,12 @@ ARGUMENTS: Arguments = (
 
 def run(arguments: argparse.Namespace) -> int:
     from .capture import Capture
+    from .draft import Draft
     from .feeding import Feeder, of_bus, of_recordings
     from .server import Server, Studio, bound_socket, require_nicegui
 
     require_nicegui()
+    check_suffix("-o", arguments.output, ".py")
     variants = parse_protocols(arguments.protocol)
     names: list[str] = arguments.items
     missing = [name for name in names if not os.path.isfile(name)]
@@ -63,6 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
         protocols=arguments.protocol,
         bus="" if bus is None else names[0],
     )
+    if arguments.output is not None:
+        check_not_read(arguments.output, names)
+        studio.draft = Draft(arguments.output, studio.recordings)
     listener = bound_socket(arguments.port)
     with listener:
         server = Server(studio, listener)

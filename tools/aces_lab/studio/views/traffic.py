@@ -97,7 +97,7 @@ class TrafficView(StudioView):
 
     # ------------------------------------------------------------------ what the user does
 
-    def _filtered(self, event: events.ValueChangeEventArguments[Any]) -> None:
+    def _filtered(self, event: events.ValueChangeEventArguments[str]) -> None:
         self._filter = (event.value or "").strip()
         self._where = None
         if any(sign in self._filter for sign in SIGNS):
@@ -108,7 +108,7 @@ class TrafficView(StudioView):
                 return
         self.update()
 
-    def _paused(self, event: events.ValueChangeEventArguments[Any]) -> None:
+    def _paused(self, event: events.ValueChangeEventArguments[bool]) -> None:
         self._frozen = None
         if event.value:
             with self.studio.capture.lock:
@@ -146,7 +146,9 @@ class TrafficView(StudioView):
         rows = self.studio.capture.rows
         columns = [
             TrafficColumn("ID", lambda row: (row.identifier.key, row.label), "id", "mono"),
-            TrafficColumn("Message", lambda row: self._name(row), "name") if self.studio.variants else None,
+            TrafficColumn("Message", lambda row: self._name(row), "name")
+            if self.studio.variants or self.studio.draft is not None
+            else None,
             TrafficColumn("Channel", lambda row: str(row.identifier.channel), "channel", "wide")
             if len({row.identifier.channel for row in rows}) > 1
             else None,
@@ -194,7 +196,24 @@ class TrafficView(StudioView):
 
     def _name(self, row: TrafficRow) -> str:
         record = self._record(row)
-        return row.name if record is None else type(record).__name__
+        if record is not None:
+            return type(record).__name__
+        draft = self.studio.draft
+        drawn = None if draft is None else draft.messages.get(row.identifier.key)
+        return row.name if drawn is None else drawn.name
+
+    def _drawn(self, row: TrafficRow) -> str:
+        """Return the values of the fields that were drawn over a row, of its newest frame."""
+        draft = self.studio.draft
+        drawn = None if draft is None else draft.messages.get(row.identifier.key)
+        if drawn is None or not row.kept:
+            return ""
+        last = row.last
+        parts = [
+            f'{escaped(field.name)}={field.values(last)[0]:.10g} <span class="unit">{escaped(field.unit)}</span>'
+            for field in drawn.fields
+        ]
+        return "&ensp;".join(parts)
 
     def update(self) -> None:
         """Show the rows in sight."""
@@ -233,13 +252,13 @@ class TrafficView(StudioView):
         pace = row.pace_ms
         cells = {
             "ID": escaped(row.label),
-            "Message": escaped(row.name if record is None else type(record).__name__),
+            "Message": escaped(self._name(row)),
             "Channel": escaped(row.identifier.channel or ""),
             "Count": f"{row.frames:,}",
             "Period ms": "" if pace is None else f"{pace[0]:.4g}",
             "Jitter ms": "" if pace is None else f"{pace[1]:.3g}",
             "Bytes, age and flips of bits": self._bytes(row),
-            "Fields": "" if record is None else self._values(record),
+            "Fields": self._drawn(row) if record is None else self._values(record),
         }
         if self._mark is not None:
             flips, frames = self._since(row)
@@ -300,7 +319,7 @@ class TrafficView(StudioView):
         with self.studio.capture.lock:
             save_bits(row_pictures(self._shown[:DRAWN]), path)
 
-    def table(self) -> Mapping[str, Sequence[Any]]:
+    def table(self) -> Mapping[str, Sequence[object]]:
         """Return the rows that are shown."""
         with self.studio.capture.lock:
             rows = [(row, row.pace_ms or (None, None), self._record(row)) for row in self._shown]
