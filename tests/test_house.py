@@ -36,7 +36,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     ),
     "files in a knot of imports": (16, ""),
     "files that ask nodes for their class": (12, ""),
-    "bases with one subclass": (24, "the fetching and the decoder of fields by bits; a view of the studio"),
+    "bases with one subclass": (23, "the fetching and the decoder of fields by bits"),
     "test files that import the inside": (40, ""),
     "times that Any is written": (
         3_240,

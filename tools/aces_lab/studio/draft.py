@@ -28,7 +28,7 @@ from aces_bus.frames import EXTENDED, FD
 from aces_bus.protocol import BitLayout, Protocol, Quantity, bits
 from aces_bus.protocol.exchange import print_source
 
-from .fields import DrawnField, mirrored
+from .fields import DrawnField, as_written
 
 #: What a child process may take (s).
 PATIENCE_S = 120.0
@@ -62,7 +62,7 @@ class DrawnMessage:
                 f"{field.name} and {taken[shared[0]]} share byte {byte} bit {bit}: remove one first"
             )
         return replace(
-            self, fields=tuple(sorted([*others, field], key=lambda f: min(map(mirrored, f.positions))))
+            self, fields=tuple(sorted([*others, field], key=lambda f: min(map(as_written, f.positions))))
         )
 
     def without(self, name: str) -> DrawnMessage:
@@ -283,7 +283,7 @@ def _statement(message: DrawnMessage, own: str) -> tuple[list[str], set[str]]:
     items = []
     for field in message.fields:
         order = "lsb" if field.order == "little" else "msb"
-        at = field.start if order == "lsb" else mirrored(field.positions[-1])
+        at = field.start if order == "lsb" else as_written(field.positions[-1])
         number = bits(field.length, at, signed=field.signed, order=order)
         is_plain = field.scale == 1 and not field.offset and not field.unit
         scale, offset = (
@@ -379,12 +379,12 @@ def messages_of_dbc(text: str) -> list[DrawnMessage]:
             if signal.multiplexer_ids or signal.is_float:
                 continue
             is_big = signal.byte_order == "big_endian"
-            start = mirrored(mirrored(signal.start) + signal.length - 1) if is_big else signal.start
+            start = as_written(as_written(signal.start) + signal.length - 1) if is_big else signal.start
             given = (signal.is_signed, float(signal.scale), float(signal.offset), signal.unit or "")
             fields.append(
                 DrawnField(signal.name, start, signal.length, "big" if is_big else "little", *given)
             )
-        fields.sort(key=lambda field: min(map(mirrored, field.positions)))
+        fields.sort(key=lambda field: min(map(as_written, field.positions)))
         key = message.frame_id | (EXTENDED if message.is_extended_frame else 0) | (FD if message.is_fd else 0)
         found.append(DrawnMessage(message.name, key, message.length, tuple(fields)))
     return found

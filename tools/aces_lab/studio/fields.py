@@ -42,12 +42,12 @@ class DrawnField:
         """
         if self.order == "little":
             return tuple(range(self.start, self.start + self.length))
-        first = mirrored(self.start)
-        return tuple(mirrored(first - bit) for bit in range(self.length))
+        first = as_written(self.start)
+        return tuple(as_written(first - bit) for bit in range(self.length))
 
     @property
     def place(self) -> str:
-        """Where it is, for people: `byte 2 bit 4, 12 bits big`."""
+        """The place of the field for people: `byte 2 bit 4, 12 bits big`."""
         order = f" {self.order}" if self.length > 8 or len({at // 8 for at in self.positions}) > 1 else ""
         bits = "bit" if self.length == 1 else "bits"
         return f"byte {self.start // 8} bit {self.start % 8}, {self.length} {bits}{order}"
@@ -81,7 +81,7 @@ class DrawnField:
         return found
 
 
-def mirrored(bit: int) -> int:
+def as_written(bit: int) -> int:
     """Return a bit's number when bits are counted as they are written, highest of a byte first; and the other way."""
     return bit // 8 * 8 + 7 - bit % 8
 
@@ -94,9 +94,9 @@ def dragged(first: int, last: int, order: BitOrder) -> tuple[int, int]:
     >>> dragged(15, 16, "big"), dragged(15, 16, "little"), dragged(12, 17, "little"), dragged(3, 0, "little")
     ((16, 16), (8, 16), (12, 6), (0, 4))
     """
-    upper, lower = sorted((first, last), key=mirrored)
+    upper, lower = sorted((first, last), key=as_written)
     if order == "big":
-        return lower, mirrored(lower) - mirrored(upper) + 1
+        return lower, as_written(lower) - as_written(upper) + 1
     if upper // 8 == lower // 8:
         return lower, upper - lower + 1
     if upper % 8 == 7 and lower % 8 == 0:  # whole bytes

@@ -22,7 +22,7 @@ from aces_tools.plotting.series import broken, longest_period
 
 from ..capture import Columns, TrafficRow
 from ..draft import DrawnMessage
-from ..fields import DrawnField, dragged, in_order, mirrored
+from ..fields import DrawnField, as_written, dragged, in_order
 from ..images import add_columns, row_pictures
 from ..page import StudioPage, StudioView, escaped
 from ..pictures import Array, data_url, thinned
@@ -246,7 +246,7 @@ class BitsView(StudioView):
         self._take(DrawnField(self._free_name(), 0, 0, self._field.order))
         self.update()
 
-    def _named(self, event: events.ValueChangeEventArguments[str]) -> None:
+    def _named(self, event: events.ValueChangeEventArguments[str | None]) -> None:
         draft, message = self.studio.draft, self._drawn()
         if draft is not None and message.fields and event.value and event.value != message.name:
             try:
@@ -403,7 +403,7 @@ class BitsView(StudioView):
         colours = self._colours(drawn)
         for at, colour in colours.items():
             if at < len(pixels):
-                strip[mirrored(at), 0] = (*bytes.fromhex(colour[1:]), 255)
+                strip[as_written(at), 0] = (*bytes.fromhex(colour[1:]), 255)
         first = float(part.places_s[0]) if self._span is None else span[0]
         marks = [
             f'<i style="left:{100 * share:.2f}%"></i>'

@@ -97,7 +97,7 @@ class TrafficView(StudioView):
 
     # ------------------------------------------------------------------ what the user does
 
-    def _filtered(self, event: events.ValueChangeEventArguments[str]) -> None:
+    def _filtered(self, event: events.ValueChangeEventArguments[str | None]) -> None:
         self._filter = (event.value or "").strip()
         self._where = None
         if any(sign in self._filter for sign in SIGNS):
@@ -108,7 +108,7 @@ class TrafficView(StudioView):
                 return
         self.update()
 
-    def _paused(self, event: events.ValueChangeEventArguments[bool]) -> None:
+    def _paused(self, event: events.ValueChangeEventArguments[bool | None]) -> None:
         self._frozen = None
         if event.value:
             with self.studio.capture.lock:

@@ -52,7 +52,7 @@ _shtab_aces_fleet_status_option_strings=(-h --help --faults --json -q --quiet)
 _shtab_aces_fleet_option_strings=(-h --help)
 _shtab_aces_completion_option_strings=(-h --help --list --words -q --quiet)
 _shtab_aces_jog_option_strings=(-h --help --speed --gamepad -p --protocol --id --model --fd --tx --for --rate --log --reduced --acts --home --unhomed --no-enable --on-trip --hold-for --at-end --real-time -q --quiet -r --robot --bus -i --interface --driver --baud --virtual --seed --pose --physics --foxglove --foxglove-origin --ros2 --domain --ros2-commands --ros2-bag --ros2-interface --ros2-peer)
-_shtab_aces_studio_option_strings=(-h --help -p --protocol --direction --port --no-browser -q --quiet)
+_shtab_aces_studio_option_strings=(-h --help -p --protocol --direction -o --output --port --no-browser -q --quiet)
 _shtab_aces_teleop_option_strings=(-h --help --tx --for --rate --log --reduced --acts --home --unhomed --no-enable --on-trip --hold-for --at-end --real-time -q --quiet --bus -i --interface --driver --baud --virtual --seed --pose --physics --foxglove --foxglove-origin --ros2 --domain --ros2-commands --ros2-bag --ros2-interface --ros2-peer)
 _shtab_aces_option_strings=(-h --help -V --version)
 
