@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from aces_protocols.vectornav_text.spec import vectornav_text
+
 #: Sentences of NMEA 0183 that receivers of satellites send.
 POSITIONS = ("GGA", "RMC", "GSA", "GSV", "VTG", "GLL", "GNS", "GST", "ZDA")
 #: Modes and registers of Damiao motors are single-precision floats.
@@ -74,6 +76,7 @@ LISTED: dict[str, dict[str, set[str]]] = {
         # DSDL has numbers of half precision.
         "NaN of half precision": {"EscStatus.voltage", "EscStatus.current", "EscStatus.temperature"},
     },
+    "vectornav_text": {"case of a check": {f"{name}.check" for name in vectornav_text.messages}},
     "odrive": {
         # CAN Simple's numbers are single-precision floats.
         "signalling NaN": {

@@ -400,7 +400,7 @@ def drawn(message: Message, sizes: Sequence[int], count: int) -> Iterator[Witnes
     chance = random.Random(f"{message.protocol.name}.{message.name}")
     framing = message.framing
     is_text = isinstance(message.payload, Delimited)
-    texts = [example.packet.data for example in message.examples] if is_text else []
+    texts = [example.packet.data for example in message.examples] or [_text_of(message)] if is_text else []
     low = (
         message.payload_start
         + message.least
@@ -431,6 +431,23 @@ def drawn(message: Message, sizes: Sequence[int], count: int) -> Iterator[Witnes
             parts = {c.name: chance.choice(tuple(c.values)[:4096]) for c in message.identifier.captures}
             key = message.identifier.number(parts) | base_of(message)
         yield Witness("drawn", key, bytes(data[:size]))
+
+
+def _text_of(message: Message) -> bytes:
+    """Return a packet of delimited text with something in each field."""
+    payload, framing = message.payload, message.framing
+    assert isinstance(payload, Delimited)
+    assert framing is not None
+    head = b"".join(
+        own.bytes(own.pattern.number({c.name: min(c.values) for c in own.pattern.captures}))
+        for own in message.heads_written
+        if own.pattern is not None
+    )
+    texts = (
+        next(t for t in ("10.25", "102", "10", "") if field.subcon.accepts(t)) for field in payload.fields
+    )
+    body = payload.separator * payload.lead + payload.separator.join(text.encode() for text in texts)
+    return message.struct.framed(framing, head, body)
 
 
 def _other_digits(data: bytes, chance: random.Random) -> bytes:

@@ -1,0 +1,1 @@
+"""VectorNav's sentences."""
