@@ -23,7 +23,7 @@ from construct import (
 
 from aces_bus import Frame, decode
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, Sum, bits
+from aces_bus.protocol import BitLayout, Crc, Flags, Multiplexed, Present, Protocol, Quantity, Sum, bits
 from aces_bus.testing import law_tests
 
 
@@ -80,9 +80,46 @@ def points() -> Protocol:
     return made
 
 
+def chosen() -> Protocol:
+    """Layouts of bits whose selectors say what they hold, one of them there by a bit."""
+    made = Protocol("chosen", link="serial", source="drawn")
+    packet = made.framing(sync=b"\xfb", header=Struct("mask" / Byte), size="fields", max_size=64, check=Sum())
+
+    def layout() -> BitLayout:
+        return BitLayout(
+            3,
+            "page" / bits(2),
+            "low" / Multiplexed("page", 1, bits(4, at=2)),
+            "high" / Multiplexed("page", (2, 3), Quantity(bits(8, at=2), scale=0.5)),
+            "inner" / Multiplexed("page", 3, bits(2, at=10)),
+            "deep" / Multiplexed("inner", 1, bits(4, at=12, signed=True)),
+        )
+
+    fields = ("a" / Present("mask", 0, Int16ul), "some" / Present("mask", 1, layout()))
+    packet("State", payload=Struct(*fields, "always" / layout(), "b" / Present("mask", 2, Float32l)))
+    return made
+
+
 test_groups_obey_the_laws = law_tests(groups(), examples=4)
 test_frames_obey_the_laws = law_tests(frames(), examples=4)
 test_points_obey_the_laws = law_tests(points(), examples=4)
+test_chosen_obey_the_laws = law_tests(chosen(), examples=4)
+
+
+def test_selectors_beside_fields_that_are_there_by_bits() -> None:
+    """Each selector says what its own layout holds; in one that is not there nothing is."""
+    made = chosen()
+    for mask, page, inner in product(range(8), range(4), range(4)):
+        word = page | 0x15 << 2 | inner << 10 | 0x9 << 12
+        body = bytes([mask]) + bytes(2 * (mask & 1)) + word.to_bytes(3, "little") * (mask >> 1 & 1)
+        body += word.to_bytes(3, "little") + bytes(4 * (mask >> 2))
+        (record,) = made.scanner().feed(b"\xfb" + body + bytes([sum(body) & 0xFF]))
+        assert (record.some is not None, record.b is not None) == (bool(mask & 2), bool(mask & 4))
+        for part in (record.always, *([record.some] if mask & 2 else [])):
+            assert (part.page, part.low) == (page, 5 if page == 1 else None)
+            assert part.high == (((word >> 2 & 0xFF) / 2) if page > 1 else None)
+            assert part.inner == (inner if page == 3 else None)
+            assert part.deep == (-7 if page == 3 and inner == 1 else None)
 
 
 def test_every_combination_of_bits() -> None:
@@ -111,6 +148,14 @@ def test_every_combination_of_bits() -> None:
                 assert value == given.get(name), (
                     common, imu, name,
                 )  # fmt: skip
+
+
+def test_a_candidate_inside_a_failed_one_may_end_behind_it() -> None:
+    """All bytes are accounted for where sums, as the check, were made of the longer packets alone."""
+    scanner = chosen().scanner()
+    data = b"\xfb" * 1170
+    assert [*scanner.feed(data), *scanner.close()] == []
+    assert sum(scanner.counts.reasons.values()) + scanner.counts.pending == len(data)
 
 
 def test_values_beside_their_bits_are_refused() -> None:

@@ -311,8 +311,7 @@ class Decoder(FunctionSetup):
         if plan.split is not None:
             self._split(plan.split)
         out.lines(*self.fetch.unpacks)
-        for selector in plan.selectors:
-            self._select(selector)
+        self._selectors()
         if plan.lengths_by is not None:
             selector, table, other = plan.lengths_by
             lengths = self._table(f"_lengths_{plan.name}", literal(dict(table)))
@@ -391,14 +390,23 @@ class Decoder(FunctionSetup):
             self.types[found] = name
         return self._type_names[name]
 
-    def _select(self, selector: p.Selector) -> None:
-        """Print a selector's raw number under a local name; None while the selector itself is absent."""
+    def _selectors(self) -> None:
+        """Print the raw numbers of all selectors."""
+        for selector in self.plan.selectors:
+            self._select(selector)
+
+    def _select(self, selector: p.Selector, there: str = "") -> None:
+        """Print a selector's raw number under a local name; None while the selector itself is absent. `there` is the test
+        that the field which holds it is there, if it is not always.
+        """
         scalar, when = selector.number, selector.when
         number = self.fetch.named.get(scalar) if when is None else None
         if number is None:
             number = self.fetch.whole(scalar)
         if when is not None:
             number = f"{number} if {self._is_there(when)} else None"
+        if there and not number.isidentifier():
+            number = f"({number}) if {there} else None"
         if not number.isidentifier():
             name = self.names.new(f"select_{selector.name}")
             self.body.line(f"{name} = {number}")

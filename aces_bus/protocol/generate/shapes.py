@@ -250,8 +250,8 @@ class ByBitsDecoder(Decoder):
 
     def __init__(self, message: Message, *, raw: bool) -> None:
         plan, wide, start = message.plan, message.plan.all_fields, message.payload_start
-        if wide is None or wide.selectors:
-            raise NotFlat("multiplexed fields beside fields that are there by bits")
+        if wide is None or wide.lengths_by is not None:
+            raise NotFlat("a size by a selector beside fields that are there by bits")
         heads = tuple(known for known in wide.constants if known.offset < start)
         inside = [known for known in wide.constants if known.offset >= start]
         super().__init__(replace(wide, constants=heads, lengths=plan.lengths, least=plan.least), raw=raw)
@@ -272,6 +272,9 @@ class ByBitsDecoder(Decoder):
     def _repeats(self) -> None:
         """Print nothing: lists are read behind the runs."""
 
+    def _selectors(self) -> None:
+        """Print nothing: selectors are read behind the runs."""
+
     def _value(self, field: p.PlanField) -> str:
         text = super()._value(field)
         there = self._there.get(field.name, "") if field in self.plan.fields else ""
@@ -285,6 +288,8 @@ class ByBitsDecoder(Decoder):
         heads = {head.name or "": whole_number(head.offset, head.size, head.order) for head in shapes.heads}
         parts = runs.parts(self.plan.sync, at, None, heads)
         is_open, test = False, ""
+        #: Of each selector, the test that the field which holds it is there.
+        holding: dict[p.Selector, str] = {}
         for (item, body), (least, most), wire in zip(shapes.items, shapes.sizes, shapes.wires, strict=True):
             present = body if isinstance(body, Present) else None
             if is_open := most is None:
@@ -301,6 +306,9 @@ class ByBitsDecoder(Decoder):
                 if not test:
                     raise NotFlat(f"{item.name} has no bytes")
                 self._there[item.name] = test
+            for selector in self.plan.selectors:
+                if at - (least if not is_open else 0) <= selector.number.offset < at:
+                    holding[selector] = test if present is not None else ""
         tail = f" + {self.plan.tail}" if self.plan.tail else ""
 
         printed = RunPrinter(
@@ -317,6 +325,8 @@ class ByBitsDecoder(Decoder):
         printed.print(parts)
         out.depth -= 1
         out.lines(f"except {too_short}:", "    return None")
+        for selector in self.plan.selectors:
+            self._select(selector, holding.get(selector, ""))
         if is_open:
             start = message.payload_start
             out.lines(*[f"if {test}:"] if test else [])

@@ -123,7 +123,10 @@ class PacketFinder(PacketHeaders):
             stop = int(starts[cut[0]])
             starts, ends = starts[: cut[0]], ends[: cut[0]]
         if framing.check is not None and self.cover is not None and len(starts):
-            data = data[: int(ends.max())]
+            if self._measure is None:
+                data = data[
+                    : int(ends.max())
+                ]  # else candidates inside a failed one may end behind all of these
             good = self._checked(data, framing.check, starts + self.cover, ends - framing.check_size)
             starts, ends = starts[good], ends[good]
         return starts.tolist(), ends.tolist(), stop
