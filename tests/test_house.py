@@ -20,10 +20,11 @@ BUDGETS: dict[str, tuple[int, str]] = {
         " types instead of Any need imports; parking that waits for late answers",
     ),
     "statements of the kernel": (
-        10_395,
+        10_440,
         "nodes answer what readers ask; fields by bits, of any mask by one function; names of any kind in errors;"
         " two scales, payloads from the header;"
-        " packets that come by two transports; answers without a head;"
+        " packets that come by two transports; answers without a head, judged while they are awaited;"
+        " layouts with selectors beside fields by bits;"
         " types instead of Any need imports; records and names of flags in printed encoders",
     ),
     "public names": (180, "what a check covers of the request; quantities of two scales"),

@@ -586,16 +586,6 @@ class Message:
         return sizes(self.payload)[0]
 
     @cached_property
-    def is_filled_up(self) -> bool:
-        """True if the last field, left out when sending, takes the zeros that make the packet a framing's `multiple=`."""
-        last = self.payload
-        if isinstance(last, c.Struct) and last.subcons:
-            last = last.subcons[-1]
-        while isinstance(last, c.Renamed):
-            last = last.subcon
-        return isinstance(last, c.Default) and innermost(last) is c.GreedyBytes
-
-    @cached_property
     def check_span(self) -> tuple[int, int, Literal["little", "big"]]:
         """Offset, size and byte order of the field that holds this message's own check."""
         assert self.check is not None

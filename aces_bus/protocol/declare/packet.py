@@ -14,6 +14,7 @@ import io
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import cached_property
 from operator import index
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -23,7 +24,11 @@ from construct import (
     Construct,
     ConstructError,
     Container,
+    Default,
+    GreedyBytes,
+    Renamed,
     StreamError,
+    Struct,
     Subconstruct,
     stream_read_entire,
 )
@@ -31,7 +36,7 @@ from construct import (
 from ...errors import FieldError
 from ...frames import FD, AnyFrame, key_of
 from .checks import Check
-from .fields import is_raw
+from .fields import innermost, is_raw
 from .framing import Framing, Verdict
 from .head import Head, flags_of
 from .pattern import IdPattern, describe_values
@@ -302,6 +307,16 @@ class PacketStruct(Construct):
             raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
         return written
 
+    @cached_property
+    def _is_filled_up(self) -> bool:
+        """True if the last field, left out when sending, takes the zeros that make the packet a framing's `multiple=`."""
+        last = self.message.payload
+        if isinstance(last, Struct) and last.subcons:
+            last = last.subcons[-1]
+        while isinstance(last, Renamed):
+            last = last.subcon
+        return isinstance(last, Default) and innermost(last) is GreedyBytes
+
     def framed(self, framing: Framing, head: bytes, body: bytes, request: bytes = b"") -> bytes:
         """Return the packet of a head and a body; `request` is the packet that it answers, for a check that covers it."""
         inside = max(0, framing.head_end - self.message.payload_start)
@@ -328,7 +343,7 @@ class PacketStruct(Construct):
         else:
             packet += body
         size = len(packet) + framing.check_size
-        if (missing := -size % framing.multiple) and not self.message.is_filled_up:
+        if (missing := -size % framing.multiple) and not self._is_filled_up:
             raise FieldError(
                 f"{self.message.name}: these fields make a packet of {size} bytes, and those of {framing.name} have"
                 f" a multiple of {framing.multiple}: give {missing} more, or end the message with"

@@ -46,14 +46,14 @@ class _AskedFramings:
 
     def __init__(
         self,
-        awaited: Callable[[float | None], Sequence[tuple[Message, Any]]],
+        awaited: Callable[[float | None], Sequence[tuple[Message, Mapping[str, object]]]],
         framings: Mapping[int, Framing],
     ) -> None:
         self._awaited, self.framings = awaited, framings
         unmarked = [number for number, framing in framings.items() if not framing.sync and not framing.match]
         self._first = frozenset(unmarked[:1])
         #: What was awaited last, and the framings of these answers.
-        self._known: tuple[Sequence[Any], frozenset[int]] = ((), self._first)
+        self._known: tuple[Sequence[object], frozenset[int]] = ((), self._first)
 
     def now(self, time: float | None) -> frozenset[int]:
         """Return the numbers: those of awaited answers, or the first of those that no byte marks."""
@@ -203,7 +203,7 @@ class StreamScanner:
         awaited, extras = decider.context.awaited, framing.extras_of(decider.messages)
         dead = unasked = verdict_of(DEAD, 0)
         # The request that was awaited last, and its bytes: they are the same at each byte.
-        known: tuple[Any, bytes] = (None, b"")
+        known: tuple[Mapping[str, object] | None, bytes] = (None, b"")
         if not framing.sync and not framing.match:
             unasked = ("bad", 0, decider.context.needs(decider.unmarked))
 

@@ -14,9 +14,7 @@ registers; sentences recorded by others in `examples`.
 
 from __future__ import annotations
 
-from typing import Any
-
-from construct import Bytes, Struct
+from construct import Bytes, Construct, Struct
 
 from aces_bus.protocol import (
     AsciiEnumeration,
@@ -55,15 +53,15 @@ ERRORS = {
 }
 
 
-def _number(name: str, unit: str = "", digits: int | None = None) -> Any:
+def _number(name: str, unit: str = "", digits: int | None = None) -> Construct:
     return name / AsciiNumber(unit=unit, digits=digits)
 
 
-def _three(name: str, unit: str, digits: int, axes: str = "xyz") -> tuple[Any, ...]:
+def _three(name: str, unit: str, digits: int, axes: str = "xyz") -> tuple[Construct, ...]:
     return tuple(_number(f"{name}_{axis}", unit, digits) for axis in axes)
 
 
-def _accuracies(axes: str) -> tuple[Any, ...]:
+def _accuracies(axes: str) -> tuple[Construct, ...]:
     return (
         *_three("accuracy", "m", 3, axes),
         _number("speed_accuracy", "m/s", 3),
@@ -98,7 +96,7 @@ UNCERTAINTY = (
     _number("velocity_uncertainty", "m/s"),
 )
 #: What a unit sends by itself: by its letters, the register that has the same values, what it is, its fields.
-OUTPUTS: dict[str, tuple[int, str, tuple[Any, ...]]] = {
+OUTPUTS: dict[str, tuple[int, str, tuple[Construct, ...]]] = {
     "YPR": (8, "Attitude.", ANGLES),
     "QTN": (9, "Attitude as a quaternion, its scalar last.", QUATERNION),
     "QMR": (15, "Quaternion and compensated sensors.", (*QUATERNION, *MAG, *ACCELERATION, *RATE)),
@@ -139,7 +137,7 @@ OUTPUTS: dict[str, tuple[int, str, tuple[Any, ...]]] = {
     ),
 }
 #: Sentences recorded by others, by their letters; those of the dialect `xor`.
-RECORDED: dict[str, tuple[bytes, dict[str, Any]]] = {
+RECORDED: dict[str, tuple[bytes, dict[str, object]]] = {
     "YPR": (  # a VN-100's
         b"$VNYPR,-129.867,-000.355,-000.296*61\r\n",
         {"yaw": -129.867, "pitch": -0.355, "roll": -0.296},
@@ -172,7 +170,7 @@ def _declare(dialect: str) -> None:
         sync=b"$VN", check=CHECKS[dialect], end=b"\r\n", not_inside=b"$", max_size=256, gap=0.1
     ).family(prefix=Struct("type" / Bytes(3)), dialect=dialect)
 
-    def declare(name: str, letters: str, payload: Any, doc: str, **more: Any) -> None:
+    def declare(name: str, letters: str, payload: Construct, doc: str, **more: object) -> None:
         known = [RECORDED[name]] if name in RECORDED and dialect == "xor" else []
         sentence(
             name,
@@ -183,7 +181,7 @@ def _declare(dialect: str) -> None:
             **{"source": MANUAL, **more},
         )
 
-    def fields(*given: Any, optional: int = 0, more: bool = False) -> Delimited:
+    def fields(*given: Construct, optional: int = 0, more: bool = False) -> Delimited:
         return Delimited(",", *given, lead=True, optional=optional, more=more)
 
     for letters, (register, doc, given) in OUTPUTS.items():
