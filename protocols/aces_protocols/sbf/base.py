@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from construct import (
@@ -78,6 +78,26 @@ def sbf_block(
         payload=Struct(*TIME, *fields, *tail),
         **more,
     )
+
+
+def sbf_revisions(
+    name: str, number: int, *fields: Construct, later: Mapping[int, Sequence[Construct]], **more: Any
+) -> None:
+    """Declare a block to which revisions have added fields at its end, by their number in `later`: the newest one, which
+    also stands for revisions to come, as `name`, the others as `nameRevision0` and so on."""
+    begins = [0, *sorted(later)]
+    for at, begin in reversed([*enumerate(begins)]):
+        is_newest = begin == begins[-1]
+        named = name if is_newest else f"{name}Revision{begin}"
+        sbf_block(
+            named,
+            number,
+            *fields,
+            *(field for revision in begins[1 : at + 1] for field in later[revision]),
+            revisions=range(begin, 8 if is_newest else begins[at + 1]),
+            examples=EXAMPLES.get(named, ()),
+            **more,
+        )
 
 
 def sbf_groups(

@@ -6,7 +6,7 @@ from construct import Byte, Construct, Int16sl, Int16ul, Int32ul
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, bits
 
-from .base import MODE, double, sbf_block, sbf_groups, single, u2
+from .base import MODE, double, sbf_block, sbf_groups, sbf_revisions, single, u2
 from .examples import EXAMPLES
 
 SYSTEMS = {"gps": 0, "galileo": 1, "glonass": 3, "beidou": 4, "qzss": 5, "atomichron": 100, "unknown": 255}
@@ -81,20 +81,13 @@ for _name, (_number, _place, _units, _velocity) in _PLACES.items():
         *(axis / single("m/s") for axis in _velocity),
         *_CLOCK,
     )
-    for _suffix, _revisions, _more in (
-        ("", range(2, 8), (*_REVISION_1, *_REVISION_2)),
-        ("Revision1", range(1, 2), _REVISION_1),
-        ("Revision0", range(1), ()),
-    ):
-        sbf_block(
-            _name + _suffix,
-            _number,
-            *_first,
-            *_more,
-            revisions=_revisions,
-            doc=f"Position, velocity and time ({', '.join(_place)}).",
-            examples=EXAMPLES[_name + _suffix],
-        )
+    sbf_revisions(
+        _name,
+        _number,
+        *_first,
+        later={1: _REVISION_1, 2: _REVISION_2},
+        doc=f"Position, velocity and time ({', '.join(_place)}).",
+    )
 
 for _name, _number, _axes, _unit in (
     ("PosCovCartesian", 5905, "xyzb", "m²"),

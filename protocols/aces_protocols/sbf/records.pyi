@@ -1697,3 +1697,181 @@ class ExtEvent(_Typed, frozen=True):
     position_age: int | None
     """0…65535 s"""
     padding: bytes
+
+class ExtEventRevision0(_Typed, frozen=True):
+    """An event on an input pin.
+
+    from device; source: mosaic-H Reference Guide 4.10.1
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    pin: int
+    polarity: Literal["rising", "falling"] | int
+    offset: float
+    """Of the event from tow. (s)"""
+    clock_bias: float | None
+    """ms"""
+    padding: bytes
+
+class ReceiverSetup(_Typed, frozen=True):
+    """What the installer has said of marker, antenna and receiver.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    reserved: bytes
+    marker: str
+    marker_number: str
+    observer: str
+    agency: str
+    serial_number: str
+    """Of the receiver."""
+    firmware: str
+    antenna_serial_number: str
+    antenna: str
+    offset_up: float
+    """Of the antenna from the marker. (m)"""
+    offset_east: float
+    """Of the antenna from the marker. (m)"""
+    offset_north: float
+    """Of the antenna from the marker. (m)"""
+    marker_type: str
+    gnss_firmware: str
+    product: str
+    latitude: float | None
+    """rad"""
+    longitude: float | None
+    """rad"""
+    height: float | None
+    """m"""
+    station: str
+    monument: int
+    receiver: int
+    country: str
+    reserved1: bytes
+    padding: bytes
+
+class ReceiverSetupRevision3(_Typed, frozen=True):
+    """What the installer has said of marker, antenna and receiver.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    reserved: bytes
+    marker: str
+    marker_number: str
+    observer: str
+    agency: str
+    serial_number: str
+    """Of the receiver."""
+    firmware: str
+    antenna_serial_number: str
+    antenna: str
+    offset_up: float
+    """Of the antenna from the marker. (m)"""
+    offset_east: float
+    """Of the antenna from the marker. (m)"""
+    offset_north: float
+    """Of the antenna from the marker. (m)"""
+    marker_type: str
+    gnss_firmware: str
+    product: str
+    padding: bytes
+
+class ReceiverSetupRevision2(_Typed, frozen=True):
+    """What the installer has said of marker, antenna and receiver.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    reserved: bytes
+    marker: str
+    marker_number: str
+    observer: str
+    agency: str
+    serial_number: str
+    """Of the receiver."""
+    firmware: str
+    antenna_serial_number: str
+    antenna: str
+    offset_up: float
+    """Of the antenna from the marker. (m)"""
+    offset_east: float
+    """Of the antenna from the marker. (m)"""
+    offset_north: float
+    """Of the antenna from the marker. (m)"""
+    marker_type: str
+    gnss_firmware: str
+    padding: bytes
+
+class ReceiverSetupRevision1(_Typed, frozen=True):
+    """What the installer has said of marker, antenna and receiver.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    reserved: bytes
+    marker: str
+    marker_number: str
+    observer: str
+    agency: str
+    serial_number: str
+    """Of the receiver."""
+    firmware: str
+    antenna_serial_number: str
+    antenna: str
+    offset_up: float
+    """Of the antenna from the marker. (m)"""
+    offset_east: float
+    """Of the antenna from the marker. (m)"""
+    offset_north: float
+    """Of the antenna from the marker. (m)"""
+    marker_type: str
+    padding: bytes
+
+class ReceiverSetupRevision0(_Typed, frozen=True):
+    """What the installer has said of marker, antenna and receiver.
+
+    from device; source: Septentrio PolaRx5TR Reference Guide 5.5.0, chapter 4
+    """
+    revision: int
+    tow: int | None
+    """Time of the GPS week. (0…4294967295 ms)"""
+    week: int | None
+    """GPS week, continuous."""
+    reserved: bytes
+    marker: str
+    marker_number: str
+    observer: str
+    agency: str
+    serial_number: str
+    """Of the receiver."""
+    firmware: str
+    antenna_serial_number: str
+    antenna: str
+    offset_up: float
+    """Of the antenna from the marker. (m)"""
+    offset_east: float
+    """Of the antenna from the marker. (m)"""
+    offset_north: float
+    """Of the antenna from the marker. (m)"""
+    padding: bytes

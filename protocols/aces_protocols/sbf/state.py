@@ -20,9 +20,9 @@ from construct import (
     this,
 )
 
-from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, Split, bits
+from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, Split, Text, bits
 
-from .base import DO_NOT_USE, sbf_block, sbf_groups
+from .base import DO_NOT_USE, sbf_block, sbf_groups, sbf_revisions
 from .examples import EXAMPLES
 
 _signal = "signal" / BitLayout(1, "number" / bits(5), "antenna" / bits(3))
@@ -283,15 +283,47 @@ sbf_block(
     source="mosaic-H Reference Guide 4.10.1",
     examples=EXAMPLES["xPPSOffset"],
 )
-sbf_block(
+sbf_revisions(
     "ExtEvent",
     5924,
     "pin" / Byte,
     "polarity" / Enumeration(Byte, rising=0, falling=1),
     "offset" / Quantity(Float32l, unit="s", doc="Of the event from tow."),
     "clock_bias" / Quantity(Float64l, unit="ms", unknown=[DO_NOT_USE]),
-    "position_age" / Quantity(Int16ul, unit="s", unknown=[0xFFFF]),
+    later={1: ["position_age" / Quantity(Int16ul, unit="s", unknown=[0xFFFF])]},
     doc="An event on an input pin.",
     source="mosaic-H Reference Guide 4.10.1",
-    examples=EXAMPLES["ExtEvent"],
+)
+sbf_revisions(
+    "ReceiverSetup",
+    5902,
+    "reserved" / Reserved(2),
+    "marker" / Text(60),
+    "marker_number" / Text(20),
+    "observer" / Text(20),
+    "agency" / Text(40),
+    "serial_number" / Text(20) * "Of the receiver.",
+    "firmware" / Text(20),
+    "antenna_serial_number" / Text(20),
+    "antenna" / Text(20),
+    *(
+        f"offset_{axis}" / Quantity(Float32l, unit="m", doc="Of the antenna from the marker.")
+        for axis in ("up", "east", "north")
+    ),
+    later={
+        1: ["marker_type" / Text(20)],
+        2: ["gnss_firmware" / Text(40)],
+        3: ["product" / Text(40)],
+        4: [
+            "latitude" / Quantity(Float64l, unit="rad", unknown=[DO_NOT_USE]),
+            "longitude" / Quantity(Float64l, unit="rad", unknown=[DO_NOT_USE]),
+            "height" / Quantity(Float32l, unit="m", unknown=[DO_NOT_USE]),
+            "station" / Text(10),
+            "monument" / Byte,
+            "receiver" / Byte,
+            "country" / Text(3),
+            "reserved1" / Reserved(21),
+        ],
+    },
+    doc="What the installer has said of marker, antenna and receiver.",
 )
