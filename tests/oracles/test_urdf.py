@@ -14,7 +14,7 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_devices.robots import import_robot
 from aces_lab.urdf import Dynamics, parse_urdf, read_urdf, urdf_text
-from tests.lab.urdf.samples import RODS, TREE
+from tests.lab.urdf.samples import FREE, RODS, TREE
 
 pin: Any = pytest.importorskip("pinocchio", reason="pinocchio is not installed: make test-urdf")
 cmeel: Any = pytest.importorskip("cmeel", reason="example-robot-data is not installed: make test-urdf")
@@ -118,3 +118,54 @@ def test_what_we_write_pinocchio_reads(text: str, tmp_path: Path) -> None:
     path.write_text(urdf_text(parse_urdf(text)), encoding="utf-8")
     worst = compare(str(path))
     assert max(worst.values()) < 1e-12
+
+
+def test_floating_and_planar_joints_are_as_pinocchio_has_them(tmp_path: Path) -> None:
+    """A free flyer and a glider on a plane: frames within 1e-12, gravity torques within 1e-9 of the largest."""
+    path = tmp_path / "free.urdf"
+    path.write_text(FREE, encoding="utf-8")
+    model, other = read_urdf(str(path)), pin.buildModelFromUrdf(str(path))
+    dynamics, data, draw = Dynamics(model), other.createData(), np.random.default_rng(7)
+    for _ in range(POSES):
+        q = draw.uniform(-1.4, 1.4, len(model.moving))
+        by_name = dict(zip(model.moving, q, strict=True))
+        place = np.array([by_name[f"sea_{part}"] for part in "xyz"])
+        yaw, pitch, roll = (by_name[f"sea_{part}"] for part in ("yaw", "pitch", "roll"))
+        about_z, about_y = pin.rpy.rpyToMatrix(0.0, 0.0, yaw), pin.rpy.rpyToMatrix(0.0, pitch, 0.0)
+        turned, turn = pin.rpy.rpyToMatrix(roll, pitch, yaw), by_name["floor_yaw"]
+        plane = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        values = {
+            "sea": np.concatenate((place, pin.Quaternion(turned).coeffs())),
+            "boom": np.array((np.cos(by_name["boom"]), np.sin(by_name["boom"]))),
+            "floor": np.array((by_name["floor_x"], by_name["floor_y"], np.cos(turn), np.sin(turn))),
+        }
+        # Pinocchio's speeds are along the axes of the body that moves.
+        moves = {
+            "sea": np.block(
+                [
+                    [turned.T, np.zeros((3, 3))],
+                    [
+                        np.zeros((3, 3)),
+                        turned.T
+                        @ np.column_stack(([0, 0, 1], about_z @ [0, 1, 0], about_z @ about_y @ [1, 0, 0])),
+                    ],
+                ]
+            ),
+            "boom": np.eye(1),
+            "floor": np.block([[plane, np.zeros((2, 1))], [np.zeros((1, 2)), np.eye(1)]]),
+        }
+        there, follows = np.zeros(other.nq), np.zeros((other.nv, len(q)))
+        for name, value in values.items():
+            joint = other.joints[other.getJointId(name)]
+            there[joint.idx_q : joint.idx_q + joint.nq] = value
+            ours = [
+                n for n, moving in enumerate(model.moving) if moving == name or moving.startswith(f"{name}_")
+            ]
+            follows[joint.idx_v : joint.idx_v + joint.nv, ours] = moves[name]
+        pin.framesForwardKinematics(other, data, there)
+        frames = dynamics.frames(q)
+        for name in ("ship", "mast", "sled"):
+            wanted = data.oMf[other.getFrameId(name)].homogeneous
+            np.testing.assert_allclose(frames[name], wanted, atol=1e-12)
+        gravity = follows.T @ pin.computeGeneralizedGravity(other, data, there)
+        np.testing.assert_allclose(dynamics.gravity_torques(q), gravity, atol=1e-9 * np.abs(gravity).max())

@@ -80,3 +80,25 @@ RODS = """<robot name="rods">
   <joint name="end" type="fixed"><parent link="lower"/><child link="tip"/><origin xyz="0.3 0 0"/></joint>
 </robot>
 """
+
+#: A platform that glides on a plane, and beside it one that floats, with an arm: each turned somewhere.
+FREE = """<?xml version="1.0"?>
+<robot name="free">
+  <link name="world"/>
+  <link name="ship"><inertial><origin xyz="0.1 0.2 -0.05"/><mass value="3"/>
+    <inertia ixx="0.1" ixy="0.01" iyy="0.2" iyz="-0.01" izz="0.3"/></inertial></link>
+  <joint name="sea" type="floating">
+    <parent link="world"/><child link="ship"/><origin xyz="1 -2 0.5" rpy="0.3 -0.2 0.7"/>
+  </joint>
+  <link name="mast">
+    <inertial><origin xyz="0 0 0.4"/><mass value="0.7"/><inertia ixx="0.02" iyy="0.02" izz="0.001"/></inertial></link>
+  <joint name="boom" type="continuous">
+    <parent link="ship"/><child link="mast"/><origin xyz="0.2 0 0.1" rpy="0 0.4 0"/><axis xyz="0 1 1"/>
+  </joint>
+  <link name="sled">
+    <inertial><origin xyz="0 0.1 0.02"/><mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="0.15"/></inertial></link>
+  <joint name="floor" type="planar">
+    <parent link="world"/><child link="sled"/><origin xyz="0 1 0" rpy="0.5 0 -0.3"/><axis xyz="0 0 1"/>
+  </joint>
+</robot>
+"""

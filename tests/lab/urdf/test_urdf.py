@@ -6,14 +6,16 @@ import math
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from aces_bus.errors import CallerError
 from aces_bus.kinematics import load_body
-from aces_bus.kinematics.body import Body, Chain, Fixed, Move, Prismatic, Revolute
+from aces_bus.kinematics.body import Body, Chain, Fixed, Move, Prismatic, Revolute, rotation_of
 from aces_lab.cartesian import Goal, solve
 from aces_lab.urdf import Dynamics, UrdfModel, model_of_body, parse_urdf, urdf_text
-from tests.lab.urdf.samples import RODS, TREE
+from aces_lab.urdf.physics import UrdfPhysics
+from tests.lab.urdf.samples import FREE, RODS, TREE
 
 
 def same(a: UrdfModel, b: UrdfModel) -> bool:
@@ -72,6 +74,48 @@ def test_a_file_is_reached_by_cartesian_goals() -> None:
     found = solve(body, [Goal("tip", (0.5, 0.0, 0.2))], (0.2, 0.4))
     assert found.converged
     assert body.forward(found.vector)["tip"].position == pytest.approx((0.5, 0.0, 0.2), abs=1e-4)
+
+
+def test_floating_and_planar_joints_are_joints_of_one_axis() -> None:
+    """Along the axes of their frame, then yaw, pitch and roll; in a robot's file they are not, as nothing drives them."""
+    free = parse_urdf(FREE)
+    sea = ("sea_x", "sea_y", "sea_z", "sea_yaw", "sea_pitch", "sea_roll")
+    assert free.moving == (*sea, "boom", "floor_x", "floor_y", "floor_yaw")
+    assert {joint.part_of for joint in free.joints.values()} == {"sea", "", "floor"}
+    q = dict.fromkeys(free.moving, 0.0) | dict(zip(sea, (1.0, 2.0, 3.0, 0.3, -0.2, 0.1), strict=True))
+    before = Dynamics(free).frames(np.zeros(len(q)))["ship"]
+    after = Dynamics(free).frames(np.array(list(q.values())))["ship"]
+    moved = np.linalg.inv(before) @ after
+    np.testing.assert_allclose(moved[:3, 3], (1.0, 2.0, 3.0), atol=1e-14)
+    np.testing.assert_allclose(moved[:3, :3], rotation_of(0.1, -0.2, 0.3), atol=1e-14)
+    again = parse_urdf(urdf_text(free))
+    assert (again.moving, list(again.links)) == (free.moving, list(free.links))
+    with pytest.raises(CallerError, match="joint sea is moved by nothing, and there is no ground here"):
+        UrdfPhysics(free)
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "0 1 0", "0 0 -1", "1 2 -2", "-0.3 0 0.1"])
+def test_a_plane_is_the_one_on_which_the_axis_stands(axis: str) -> None:
+    """Sliding never leaves it, and turning leaves the axis where it is; the frame is right-handed."""
+    free = parse_urdf(
+        FREE.replace('<axis xyz="0 0 1"/>\n  </joint>\n</robot>', f'<axis xyz="{axis}"/></joint></robot>')
+    )
+    names, normal = list(free.moving), np.array([float(word) for word in axis.split()])
+    normal /= np.linalg.norm(normal)
+
+    def sled(**values: float) -> npt.NDArray[np.float64]:
+        q = np.zeros(len(names))
+        for name, value in values.items():
+            q[names.index(name)] = value
+        frame: npt.NDArray[np.float64] = Dynamics(free).frames(q)["sled"]
+        return frame
+
+    start = np.linalg.inv(sled())
+    x, y = ((start @ sled(**{name: 1.0}))[:3, 3] for name in ("floor_x", "floor_y"))
+    np.testing.assert_allclose(np.cross(x, y), normal, atol=1e-14)
+    turned = (start @ sled(floor_yaw=0.7))[:3, :3]
+    np.testing.assert_allclose(turned @ normal, normal, atol=1e-14)
+    np.testing.assert_allclose(turned @ x, math.cos(0.7) * x + math.sin(0.7) * y, atol=1e-14)
 
 
 def test_written_and_read_again_a_model_is_equal() -> None:
@@ -141,7 +185,11 @@ def joint(name: str, parent: str, child: str, rest: str = "", kind: str = "conti
             "0 links have no parent",
         ),
         (LINKS + joint("1", "a", "b") + joint("2", "b", "d"), "no link of r named 'd'"),
-        (LINKS + joint("1", "a", "b", kind="floating"), "joint 1: type 'floating' has no place"),
+        (
+            LINKS + joint("1", "a", "b", kind="ball"),
+            "joint 1: there is no type 'ball' (revolute, continuous,",
+        ),
+        (LINKS + joint("1", "a", "b", '<axis xyz="0 0 0"/>', "planar"), "joint 1: its axis is 0 0 0"),
         (LINKS + joint("1", "a", "b", '<axis xyz="0 0 0"/>'), "joint 1: its axis is 0 0 0"),
         (LINKS + joint("1", "a", "b", '<axis xyz="0 1"/>'), "xyz='0 1' is not three numbers"),
         (LINKS + joint("1", "a", "b", '<origin xyz="0 nan 1"/>'), "xyz='nan' is not a finite number"),

@@ -78,6 +78,8 @@ class UrdfJoint:
     damping: float | None = None
     friction: float | None = None
     mimic: Mimic | None = None
+    #: The floating or planar joint that it is a part of, which no motor moves; "": it is a joint of its own.
+    part_of: str = ""
 
 
 class UrdfModel:

@@ -34,6 +34,10 @@ class UrdfPhysics:
     def __init__(self, model: UrdfModel) -> None:
         if all(link.inertia is None for link in model.links.values()):
             raise CallerError(f"{model.name} has no inertias: its links have no weight, and nothing to move")
+        if free := next((joint.part_of for joint in model.joints.values() if joint.part_of), ""):
+            raise CallerError(
+                f"{model.name}: joint {free} is moved by nothing, and there is no ground here: take --physics mujoco"
+            )
         self.dynamics, self.joints = Dynamics(model), model.moving
         self.push = dict.fromkeys(self.joints, 0.0)
         self.contacts: Sequence[Contact] = ()

@@ -2,7 +2,8 @@
 
 1. A file of strangers: bounded, without entities (`xml.py`); names and numbers are checked before they are used.
 2. What is wrong stops the reading, with its line: a mechanism that lacks a part would be another one.
-3. What a `UrdfModel` has no place for (shapes, materials, transmissions, sensors, extensions of simulators) is passed over.
+3. A floating or planar joint `J` becomes joints of one axis, `J_x`, `J_y`, … (`UrdfJoint.part_of`), which no motor moves.
+4. What a `UrdfModel` has no place for (shapes, materials, transmissions, sensors, extensions of simulators) is passed over.
 
 Source: wiki.ros.org/urdf/XML; urdfdom's parser, where that page is silent (defaults of limits, joints without an axis).
 """
@@ -27,6 +28,8 @@ _KINDS: Final[dict[str, Kind]] = {
     "prismatic": "prismatic",
     "fixed": "fixed",
 }
+#: Joints of several axes, which become as many joints.
+_FREE: Final = ("floating", "planar")
 
 
 def read_urdf(path: str) -> UrdfModel:
@@ -43,9 +46,16 @@ def parse_urdf(data: bytes | str, file: str = "robot.urdf") -> UrdfModel:
         if element.tag.startswith("xacro:"):
             element.fail("this is xacro, which is a program: run xacro, and read what it prints")
     links = [_link(element) for element in top.all("link")]
-    joints = [_joint(element) for element in top.all("joint")]
     if not links:
         top.fail("no <link>")
+    joints: list[UrdfJoint] = []
+    for element in top.all("joint"):
+        if element.attributes.get("type") in _FREE:
+            between, parts = _free_joint(element)
+            links += between
+            joints += parts
+        else:
+            joints.append(_joint(element))
     try:
         return UrdfModel(_name(top), links, joints)
     except CallerError as error:
@@ -71,16 +81,9 @@ def _joint(element: Element) -> UrdfJoint:
     kind = element.attributes.get("type", "")
     if kind not in _KINDS:
         element.fail(
-            f"joint {name}: type {printable(kind)[:40]!r} has no place in a tree of joints with one axis"
-            f" ({', '.join(_KINDS)})"
+            f"joint {name}: there is no type {printable(kind)[:40]!r} ({', '.join((*_KINDS, *_FREE))})"
         )
-    axis = element.child("axis") if kind != "fixed" else None
-    x, y, z = (1.0, 0.0, 0.0) if axis is None else _vector(axis, "xyz")
-    length = math.hypot(x, y, z)
-    if axis is not None and length == 0:
-        element.fail(f"joint {name}: its axis is 0 0 0; give it a direction")
-    is_unit = length == 0 or abs(length - 1) < 1e-14  # as a division by the length leaves it
-    unit = (x, y, z) if is_unit else (x / length, y / length, z / length)
+    unit = _axis(element) if kind != "fixed" else (1.0, 0.0, 0.0)
     limit, dynamics, mimic = element.child("limit"), element.child("dynamics"), element.child("mimic")
     lower = upper = None
     if limit is not None and kind in ("revolute", "prismatic"):
@@ -106,6 +109,59 @@ def _joint(element: Element) -> UrdfJoint:
         if mimic is None or kind == "fixed"
         else Mimic(_name(mimic, "joint"), _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0)),
     )
+
+
+def _axis(element: Element) -> Vector:
+    """Return the direction of a joint's axis, in its own frame."""
+    axis = element.child("axis")
+    x, y, z = (1.0, 0.0, 0.0) if axis is None else _vector(axis, "xyz")
+    length = math.hypot(x, y, z)
+    if length == 0:
+        element.fail(f"joint {_name(element)}: its axis is 0 0 0; give it a direction")
+    is_unit = abs(length - 1) < 1e-14  # as a division by the length leaves it
+    return (x, y, z) if is_unit else (x / length, y / length, z / length)
+
+
+def _free_joint(element: Element) -> tuple[list[UrdfLink], list[UrdfJoint]]:
+    """Return a floating or planar joint as joints of one axis, and the massless links between them.
+
+    Floating: along x, y, z of the joint's frame, then yaw, pitch, roll (about z, y, x). Planar: along two axes of the plane
+    that its axis stands on (x and y where that is z), then about the axis.
+    """
+    name, parent, child = _name(element), _reference(element, "parent"), _reference(element, "child")
+    x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    if element.attributes["type"] == "floating":
+        parts = [("x", x), ("y", y), ("z", z), ("yaw", z), ("pitch", y), ("roll", x)]
+    else:
+        normal = _axis(element)
+        to_axis = _turned_to(normal)
+        parts = [("x", to_axis[0]), ("y", to_axis[1]), ("yaw", normal)]
+    links: list[UrdfLink] = []
+    joints: list[UrdfJoint] = []
+    for place, (part, axis) in enumerate(parts):
+        end = child if place + 1 == len(parts) else f"{name}_{part}"
+        kind: Kind = "prismatic" if part in ("x", "y", "z") else "continuous"
+        origin = UrdfOrigin() if place else _origin(element)
+        joints.append(UrdfJoint(f"{name}_{part}", kind, parent, end, origin, axis, part_of=name))
+        links += [UrdfLink(end)] if end != child else []
+        parent = end
+    return links, joints
+
+
+def _turned_to(normal: Vector) -> tuple[Vector, Vector]:
+    """Return two axes that make a right-handed frame with a normal: x and y where it is z."""
+    x, y, z = normal
+    if z == 1.0:
+        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    # The axis of the frame that is furthest from the normal, made perpendicular to it.
+    first = [0.0, 0.0, 0.0]
+    place = min(range(3), key=lambda number: abs(normal[number]))
+    first[place] = 1.0
+    along = normal[place]
+    a, b, c = (value - along * part for value, part in zip(first, normal, strict=True))
+    length = math.hypot(a, b, c)
+    a, b, c = a / length, b / length, c / length
+    return (a, b, c), (y * c - z * b, z * a - x * c, x * b - y * a)
 
 
 def _reference(element: Element, tag: str) -> str:

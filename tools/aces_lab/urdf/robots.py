@@ -36,11 +36,13 @@ def urdf_body(path: str) -> Body:
 
 
 def robot_joints(path: str) -> Mapping[str, Mapping[str, object]]:
-    """Return the joints of a URDF file that move of themselves, with the keys of a robot's file."""
+    """Return the joints of a URDF file that a motor may move, with the keys of a robot's file."""
     model = read_urdf(path)
     found: dict[str, dict[str, object]] = {}
     for name in model.moving:
         joint = model.joints[name]
+        if joint.part_of:
+            continue
         kind = joint.kind if joint.lower is not None or joint.kind == "prismatic" else "continuous"
         keys = {"type": kind, "lower": joint.lower, "upper": joint.upper, "max_speed": joint.velocity or None}
         found[name] = {key: value for key, value in keys.items() if value is not None}
