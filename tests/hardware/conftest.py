@@ -14,7 +14,7 @@ import pytest
 
 from aces_bus.hardware.served.remote import ServedBus
 
-from .serving import Open
+from .serving import PATIENCE, Open
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def opened(runtime: Path) -> Iterator[Open]:
     with ExitStack() as stack:
 
         def open_bus(channel: str = "unix:can0", **more: Any) -> ServedBus:
-            bus = can.Bus(channel, "aces", **more)
+            bus = can.Bus(channel, "aces", **{"timeout": PATIENCE, **more})
             assert isinstance(bus, ServedBus)
             return stack.enter_context(bus)
 

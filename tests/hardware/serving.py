@@ -17,7 +17,7 @@ from aces_bus.hardware.served.remote import ServedBus
 from aces_bus.hardware.served.server import BusServer
 
 #: How long anything may take here, in seconds; reached only when something is broken.
-PATIENCE = 10.0
+PATIENCE = 60.0
 
 Open = Callable[..., ServedBus]
 

@@ -222,7 +222,7 @@ line = { link = "serial", protocol = "roboclaw", baud = 460_800 }
 def test_it_drives_eight_controllers_on_one_line() -> None:
     """Each of its packets is one of our messages, and it understands each of our answers, whichever controller gives it."""
     with served_line(EIGHT, driver) as line:
-        client = kit.Roboclaw(line.path, 460_800)
+        client = kit.Roboclaw(line.path, 460_800, timeout=10.0)  # its own is 10 ms
         client.open()
         try:
             for address in ADDRESSES:

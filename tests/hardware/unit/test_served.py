@@ -63,6 +63,18 @@ def test_full_mailboxes(opened: Open) -> None:
             pass  # the one frame that was on the wire when the others were dropped
 
 
+def test_who_comes_is_served_by_a_server_that_cannot_keep_up(opened: Open) -> None:
+    """On a machine too slow for what happens on its buses these fall behind, and clients still get their answers."""
+    server = serve()
+
+    def again() -> None:
+        server.clock.call_in(100, again)  # in less time than that takes
+
+    again()
+    with server:
+        assert opened().status()["channels"][0]["now_ns"] < time.monotonic_ns()
+
+
 def test_a_fast_sender_waits_for_the_bus(opened: Open) -> None:
     """With a time-out to wait in, more frames than mailboxes go through without a loss, in order."""
     count = 2 * channel_module.MAILBOXES
