@@ -56,7 +56,11 @@ def connect(bus: Any) -> None:
     def step() -> None:
         try:
             bus.connect(handshake=True)
-        except (ConnectionError, RuntimeError) as error:
+        except (
+            ConnectionError,
+            RuntimeError,
+            IndexError,
+        ) as error:  # its kit takes a late answer for another
             bus.port_handler.closePort()
             raise ConnectionError(str(error)) from error
 

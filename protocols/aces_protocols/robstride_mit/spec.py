@@ -139,6 +139,17 @@ def declare_command(
     )
 
 
+#: The commands that begin with 0xFF.
+COMMANDS = (
+    "Enable",
+    "Disable",
+    "SetZero",
+    "ClearFaults",
+    "ReadFaults",
+    "SetMode",
+    "SetNumber",
+    "SetProtocol",
+)
 FULL = Const(b"\xff" * 6)
 for name, last, number, doc in (
     ("Enable", 0xFC, 1, "Switch the motor on."),
@@ -249,7 +260,16 @@ robstride_mit.message(
     id=0x000 + Motor,
     direction="from device",
     payload=Struct("unique_id" / Int64ul),
+    reply_to=(robstride_mit.messages["SetNumber"], robstride_mit.messages["SetProtocol"]),
+    within=WITHIN,
+    overrides=("Command", *COMMANDS),
     doc="A motor's unique id, under its own number: the answer to `SetNumber` and `SetProtocol`.",
     source=f"{MANUAL}, answer 2",
-    examples=[("005#01 02 03 04 05 06 07 88", {"motor": 5, "unique_id": 0x8807060504030201})],
+    examples=[
+        (
+            "005#01 02 03 04 05 06 07 88",
+            {"motor": 5, "unique_id": 0x8807060504030201},
+            "005#FF FF FF FF FF FF 00 FD",
+        )
+    ],
 )
