@@ -51,7 +51,7 @@ def patiently(step: Callable[[], Any]) -> Any:
 
 
 def connect(bus: Any) -> None:
-    """Connect with the handshake, which asks each servo once."""
+    """Connect with the handshake, which asks each servo once; from then on it waits for answers as on a slow line."""
 
     def step() -> None:
         try:
@@ -65,6 +65,7 @@ def connect(bus: Any) -> None:
             raise ConnectionError(str(error)) from error
 
     patiently(step)
+    bus.port_handler.tx_time_per_byte = 100.0  # ms; its patience is the time of the bytes and 50 ms
 
 
 def turn_by_hand(line: Any, count: int) -> None:

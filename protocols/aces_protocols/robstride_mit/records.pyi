@@ -24,7 +24,7 @@ class Command(_Typed, frozen=True):
     torque: float
 
 class Feedback(_Typed, frozen=True):
-    """The answer to every command but three; whether the motor is on is not in it.
+    """The answer to commands but `ReadFaults`, `SetNumber`, `SetProtocol`; whether the motor is on is not in it.
 
     from device; dialects RS00, share; source: RS00 manual, MIT protocol, answer 1; lerobot motors/robstride/robstride.py
     """
@@ -86,7 +86,7 @@ class SetMode(_Typed, frozen=True):
     mode: Literal["mit", "position", "speed"] | int
 
 class SetNumber(_Typed, frozen=True):
-    """Give the motor another number; answered by `Identity`.
+    """Give the motor another number.
 
     to device; source: RS00 manual, MIT protocol, command 7
     """
@@ -95,7 +95,7 @@ class SetNumber(_Typed, frozen=True):
     new_motor: int
 
 class SetProtocol(_Typed, frozen=True):
-    """Another protocol, from the next power-on; answered by `Identity`.
+    """Another protocol, from the next power-on.
 
     to device; source: RS00 manual, MIT protocol, command 8
     """
@@ -148,12 +148,3 @@ class Faults(_Typed, frozen=True):
     motor: int
     """the motor's number, 1 from the factory"""
     faults: _Faults_faults
-
-class Identity(_Typed, frozen=True):
-    """A motor's unique id, under its own number: the answer to `SetNumber` and `SetProtocol`.
-
-    from device; source: RS00 manual, MIT protocol, answer 2
-    """
-    motor: int
-    """the motor's number, 1 from the factory"""
-    unique_id: int

@@ -13,7 +13,7 @@ Sources: RobStride's RS00 manual (260112), MIT protocol, commands 1 to 11 and bo
 
 from __future__ import annotations
 
-from construct import Byte, Const, Float32l, Int32ul, Int64ul, Struct
+from construct import Byte, Const, Float32l, Int32ul, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Protocol, Quantity, bits
 from aces_protocols.mit_frame import span
@@ -98,7 +98,7 @@ for dialect, (position, velocity, torque) in DIALECTS.items():
             "temperature" / Quantity(bits(16), unit="°C", scale=0.1),
             order="msb",
         ),
-        doc="The answer to every command but three; whether the motor is on is not in it.",
+        doc="The answer to commands but `ReadFaults`, `SetNumber`, `SetProtocol`; whether the motor is on is not in it.",
         source=f"{MANUAL}, answer 1; {LEROBOT}",
         examples=[
             (
@@ -139,17 +139,6 @@ def declare_command(
     )
 
 
-#: The commands that begin with 0xFF.
-COMMANDS = (
-    "Enable",
-    "Disable",
-    "SetZero",
-    "ClearFaults",
-    "ReadFaults",
-    "SetMode",
-    "SetNumber",
-    "SetProtocol",
-)
 FULL = Const(b"\xff" * 6)
 for name, last, number, doc in (
     ("Enable", 0xFC, 1, "Switch the motor on."),
@@ -183,14 +172,14 @@ declare_command(
 declare_command(
     "SetNumber",
     Struct(FULL, "new_motor" / Byte, Const(b"\xfa")),
-    "Give the motor another number; answered by `Identity`.",
+    "Give the motor another number.",
     7,
     ("005#FF FF FF FF FF FF 09 FA", {"motor": 5, "new_motor": 9}),
 )
 declare_command(
     "SetProtocol",
     Struct(Const(b"\xfd")),
-    "Another protocol, from the next power-on; answered by `Identity`.",
+    "Another protocol, from the next power-on.",
     8,
     ("005#FF FF FF FF FF FF 00 FD", {"motor": 5, "protocol": "private"}),
     prefix=Struct(FULL, "protocol" / Enumeration(Byte, PROTOCOLS)),
@@ -255,21 +244,3 @@ robstride_mit.message(
         )
     ],
 )  # fmt: skip
-robstride_mit.message(
-    "Identity",
-    id=0x000 + Motor,
-    direction="from device",
-    payload=Struct("unique_id" / Int64ul),
-    reply_to=(robstride_mit.messages["SetNumber"], robstride_mit.messages["SetProtocol"]),
-    within=WITHIN,
-    overrides=("Command", *COMMANDS),
-    doc="A motor's unique id, under its own number: the answer to `SetNumber` and `SetProtocol`.",
-    source=f"{MANUAL}, answer 2",
-    examples=[
-        (
-            "005#01 02 03 04 05 06 07 88",
-            {"motor": 5, "unique_id": 0x8807060504030201},
-            "005#FF FF FF FF FF FF 00 FD",
-        )
-    ],
-)
