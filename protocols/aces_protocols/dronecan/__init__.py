@@ -1,0 +1,1 @@
+"""DroneCAN (UAVCAN v0), as speed controllers of motors (ESCs) speak it."""
