@@ -43,7 +43,7 @@ class Encoder:
         self.variant = variant
         self._counters: Counts = {}
         #: Packets that `next` has sent, by transport and key: some transports number them.
-        self._sequences: dict[tuple[int, int], int] = {}
+        self._sequences: Counts = {}
         self._quick, self.source, self.through_construct = quick_encoders(variant)
         #: By message, what its fields are when they are not given: what construct would take, too.
         self._unsaid = {name: found for name in self._quick if (found := unsaid(variant[name].payload))}
@@ -92,18 +92,23 @@ class Encoder:
             raise CallerError(f"{message.name} goes out in several frames ({message.transport.title})")
         return _frame(built)
 
-    def as_sent(self, message: Message, fields: dict[str, Any]) -> list[Frame | bytes]:
+    def as_sent(
+        self, message: Message, fields: dict[str, Any], counts: Counts | None = None
+    ) -> list[Frame | bytes]:
         """Return all that goes out for one message: one frame or packet, or the frames of its transport. Raises as
-        `encode`.
+        `encode`. Packets of transports that number them continue from `counts`, which the sender keeps, or from this
+        encoder's own.
         """
         built = self._built(message, fields)
         if isinstance(built, bytes):
             return [built]
         if message.transport is None:
             return [_frame(built)]
-        return [_frame(parts) for parts in self._carried(message, built, None)]
+        return [_frame(parts) for parts in self._carried(message, built, None, counts)]
 
-    def _carried(self, message: Message, parts: CanParts, number: int | None) -> list[CanParts]:
+    def _carried(
+        self, message: Message, parts: CanParts, number: int | None, counts: Counts | None = None
+    ) -> list[CanParts]:
         """Return the frames of a packet, as its transport cuts it."""
         identifier, data, extended, _, _ = parts
         transport = next((way for way in message.ways if way and len(data) <= way.longest), message.ways[-1])
@@ -111,8 +116,9 @@ class Encoder:
         key = key_of(identifier, extended=extended)
         if number is None:
             who = (id(transport), transport.numbered_by(key))
-            number = self._sequences.get(who, 0)
-            self._sequences[who] = number + 1
+            sequences = self._sequences if counts is None else counts
+            number = sequences.get(who, 0)
+            sequences[who] = number + 1
         try:
             frames = transport.split(key, data, number, message.check_extra)
         except FieldError as error:
@@ -139,7 +145,7 @@ class Encoder:
             return self.packet(message, whole(fields))
 
         if message.transport is not None:
-            return lambda fields: tuple(self.as_sent(message, whole(fields)))
+            return lambda fields: tuple(self.as_sent(message, whole(fields), counts))
         if quick is None or message.framing is not None:
             return usual
         known = {**self._unsaid.get(message.name, {}), **tags}

@@ -12,33 +12,13 @@ from construct import GreedyBytes, Struct
 
 from aces_bus.frames import message_to_frame
 from aces_bus.protocol import IdField, Protocol, TailByte
+from tests.oracles.dronecan_bus import BusDriver
 from tests.oracles.foreign import oracle
 from tests.specs.dronecan_like import dronecan_like, signature
 
 dronecan = oracle("dronecan", "dronecan")
-driver = oracle("dronecan.driver.common", "dronecan")
 #: The node that dronecan is, and ours.
 THEIRS, OURS = 20, 42
-
-
-class BusDriver(driver.AbstractDriver):  # type: ignore[name-defined,misc]
-    """A bus of python-can as dronecan has its drivers; its own waits a thousand times too long."""
-
-    def __init__(self, bus: can.BusABC) -> None:
-        super().__init__()
-        self.bus = bus
-
-    def send_frame(self, frame: Any) -> None:
-        self.bus.send(
-            can.Message(arbitration_id=frame.id, data=bytes(frame.data), is_extended_id=frame.extended)
-        )
-
-    def receive(self, timeout: float | None = None) -> Any:
-        message = self.bus.recv(0)
-        return None if message is None else driver.CANFrame(message.arbitration_id, bytes(message.data), True)
-
-    def close(self) -> None:
-        self.bus.shutdown()
 
 
 @pytest.fixture

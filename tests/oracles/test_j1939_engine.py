@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
@@ -76,8 +77,14 @@ def test_it_hears_and_asks_our_twin() -> None:
         lamp = j1939.DtcLamp
         assert (lamps["rsl"], lamps["awl"], lamps["mil"]) == (lamp.ON, lamp.ON, lamp.OFF)
 
-        theirs.send_request(0, 65260, 0)
-        wait_until(lambda: 65260 in groups)
+        # Its receiver loses a session that begins right behind another one, if it is busy: it asks again.
+        for _ in range(10):
+            theirs.send_request(0, 65260, 0)
+            end = time.monotonic() + 3
+            while 65260 not in groups and time.monotonic() < end:
+                time.sleep(0.01)
+            if 65260 in groups:
+                break
         assert groups[65260] == f"{twin.vin}*".encode()
         seen: dict[int, bytes] = {}
         with can.Bus(interface="aces", channel=made.channel) as listener:
@@ -126,7 +133,7 @@ def test_our_driver_reads_and_asks_their_unit() -> None:
                     0, 0xF0, 0x04, 3, [0xFF, 0xFF, 165, *struct.pack("<H", 12_000), 255, 255, 255]
                 )
                 theirs.send_pgn(0, 0xFE, 0xEF, 6, [255, 255, 255, 100, 255, 255, 255, 255])
-                return value("speed") == pytest.approx(157.0796) and value("oil_pressure") == 400_000
+                return bool(value("speed") == pytest.approx(157.0796) and value("oil_pressure") == 400_000)
 
             wait_until(has_come)
             assert value("torque") == pytest.approx(0.4)

@@ -7,8 +7,8 @@
 3. Throttles are one list for all controllers of a bus, each knowing its place. Its length follows from the transfer's, so
    that lists of 1 to 20 are messages of their own here.
 
-Sources: DroneCAN's DSDL (`uavcan/equipment/esc`, `uavcan/protocol`) and specification 4.1, as dronecan 1.0.27 has them, whose
-bytes the worked examples are.
+Sources: DroneCAN's DSDL (`uavcan/equipment/esc`, `uavcan/protocol`) and specification 4.1, as dronecan 1.0.27 has them,
+whose bytes the worked examples are.
 """
 
 from __future__ import annotations
@@ -40,7 +40,11 @@ dronecan = Protocol(
     doc="DroneCAN (UAVCAN v0): speed controllers (ESCs), who a node is and how it is.",
     source="dronecan.github.io, DSDL uavcan/equipment/esc",
 )
-Priority, Node, Host = IdField("priority", range(32)), IdField("node", range(1, 128)), IdField("host", range(1, 128))
+Priority, Node, Host = (
+    IdField("priority", range(32)),
+    IdField("node", range(1, 128)),
+    IdField("host", range(1, 128)),
+)
 _transfer = TailByte(version=0, max_size=400)
 #: Signatures of data types.
 STATUS, ESC_STATUS, RAW_COMMAND, NODE_INFO = (
@@ -61,7 +65,9 @@ def _throttle(place: int) -> Any:
 
 
 #: dronecan's bytes of four throttles: forward, back, 1000 and none.
-_FOUR = [(["0804060A#FF 7C 02 0E 80 C0 00 C0"], {"priority": 8, "host": 10, "commands": [8191, -8192, 1000, 0]})]
+_FOUR = [
+    (["0804060A#FF 7C 02 0E 80 C0 00 C0"], {"priority": 8, "host": 10, "commands": [8191, -8192, 1000, 0]})
+]
 for _count in range(1, MOST_ESCS + 1):
     dronecan.message(
         raw_command(_count),
@@ -69,9 +75,11 @@ for _count in range(1, MOST_ESCS + 1):
         check_extra=RAW_COMMAND,
         direction="to device",
         payload=BitLayout(
-            (14 * _count + 7) // 8, "commands" / Tuple(*map(_throttle, range(_count))), order="msb"
+            (14 * _count + 7) // 8,
+            "commands" / (Tuple(*map(_throttle, range(_count))) if _count > 1 else _throttle(0)),
+            order="msb",
         ),
-        doc=f"Throttles of controllers 0 to {_count - 1}: −8192 … 8191, 0 stops.",
+        doc=f"Throttles of controllers 0 to {_count - 1}: −8192 … 8191, 0 stops{'' if _count > 1 else '; one number'}.",
         source="equipment/esc/1030.RawCommand",
         examples=_FOUR if _count == 4 else (),
         **_common,
@@ -108,7 +116,8 @@ _status = (
     / BitLayout(
         1,
         "health" / Enumeration(bits(2, at=6), ok=0, warning=1, error=2, critical=3),
-        "mode" / Enumeration(bits(3, at=3), operational=0, initialising=1, maintenance=2, update=3, offline=7),
+        "mode"
+        / Enumeration(bits(3, at=3), operational=0, initialising=1, maintenance=2, update=3, offline=7),
         "sub_mode" / bits(3, at=0),
     ),
     "vendor_code" / Int16ul,
