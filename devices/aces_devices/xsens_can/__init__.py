@@ -16,18 +16,17 @@ from aces_bus.device.settings import described, settings_of
 
 from .twin import MtiSettings, MtiTwin
 
-#: Groups of values that three fields give: signal, message, unit, SI of the field.
+#: Groups of values that three fields give: signal, message, unit; the fields are in SI units.
 AXES = (
-    ("acceleration", "Acceleration", "m/s²", 1.0), ("rate", "RateOfTurn", "rad/s", 1.0),
-    ("free_acceleration", "FreeAcceleration", "m/s²", 1.0), ("magnetic", "MagneticField", "", 1.0),
-    ("velocity", "Velocity", "m/s", 1.0),
+    ("acceleration", "Acceleration", "m/s²"), ("rate", "RateOfTurn", "rad/s"), ("magnetic", "MagneticField", ""),
+    ("free_acceleration", "FreeAcceleration", "m/s²"), ("velocity", "Velocity", "m/s"),
 )  # fmt: skip
 ANGLES, QUATERNION = ("roll", "pitch", "yaw"), ("q0", "q1", "q2", "q3")
 #: How long slow values are fresh (s).
 SLOW_S = 5.0
 
 
-class Motion(NamedTuple):
+class MtiReading(NamedTuple):
     """What `read` gives: m/s², rad/s, and orientation as a quaternion, its real part first; None where unknown."""
 
     acceleration: tuple[float, float, float] | None
@@ -67,10 +66,10 @@ class Mti(Device):
         self._alarms: set[str] = set()
         self._is_valid = True
         stale_s = max(0.1, 5 / self.settings.rate_hz)
-        for name, message, unit, scale in AXES:
+        for name, message, unit in AXES:
             for axis in "xyz":
                 self.add_signal(
-                    f"{name}_{axis}", unit=unit, of=f"{message}.{axis}", to_si=lambda value, scale=scale: value * scale,
+                    f"{name}_{axis}", unit=unit, of=f"{message}.{axis}",
                     stale_s=stale_s, doc=f"along {axis}", source="MT1604P §6",
                 )  # fmt: skip
         known: dict[str, Any] = {"stale_s": stale_s, "source": "MT1604P §6.3"}
@@ -113,15 +112,17 @@ class Mti(Device):
             case _:
                 pass
 
-    def read(self) -> Motion:
+    def read(self) -> MtiReading:
         """Return acceleration, rate of turn and orientation, in SI units."""
 
         def values(names: tuple[str, ...]) -> Any:
             signals = [self.signals[f"{self.name}.{name}"] for name in names]
             return None if any(one.is_stale for one in signals) else tuple(one.last for one in signals)
 
-        axes = [values(tuple(f"{name}_{axis}" for axis in "xyz")) for name in ("acceleration", "rate")]
-        return Motion(*axes, values(QUATERNION))
+        acceleration, rate = (
+            values(tuple(f"{name}_{axis}" for axis in "xyz")) for name in ("acceleration", "rate")
+        )
+        return MtiReading(acceleration, rate, values(QUATERNION))
 
 
 EXAMPLE = """
@@ -145,4 +146,4 @@ driver = Driver(
     settings=described(MtiSettings),
 )
 
-__all__ = ["EXAMPLE", "Motion", "Mti", "driver"]
+__all__ = ["EXAMPLE", "Mti", "MtiReading", "driver"]
