@@ -159,7 +159,7 @@ def copy_tree() -> None:
 def environment(**more: str) -> dict[str, str]:
     """The environment of tests in the copy: its packages come first, in programs that they start, too."""
     roots = [TREE, *(TREE / name for name in ("protocols", "devices", "tools"))]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, roots)), **more}
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, roots)), "ACES_SHARE": "1", **more}
 
 
 def pytest_of(*arguments: str) -> list[str]:
