@@ -15,9 +15,12 @@ import serial
 from aces_bus import as_dict, load_robot
 from aces_bus.device import Client, Job, Steps
 from aces_bus.errors import DeviceError, NoReplyError
-from aces_bus.robot import VirtualRobot
-from aces_bus.runtime.loop import Loop, call_there
+from aces_bus.robot import VirtualRobot, run_real
+from aces_bus.runtime.loop import Loop
+from aces_tools.sim import SimulatedRobot
 from tests.device.test_client import lamp, line
+from tests.tools.test_stop import arm as arm
+from tests.tools.test_stop import stand as stand
 
 PATIENCE_S = 30.0
 
@@ -92,13 +95,27 @@ def test_a_wait_can_be_given_up(loop: Loop) -> None:
     assert not loop.failures
 
 
-def test_a_request_leaves_on_the_thread_of_the_buses(loop: Loop) -> None:
-    """From whatever thread it was made; here where the loop does not run."""
-    assert call_there(loop, threading.get_ident) == loop.own_thread
-    assert loop.call(lambda: call_there(loop, threading.get_ident)) == loop.own_thread
-    assert call_there(Loop(), threading.get_ident) == threading.get_ident()
+def test_a_loop_says_where_it_runs(loop: Loop) -> None:
+    """Elsewhere for other threads, as long as it runs."""
+    assert loop.is_elsewhere
+    assert not loop.call(lambda: loop.is_elsewhere)
+    assert not Loop().is_elsewhere
     loop.stop()
-    assert call_there(loop, threading.get_ident) == threading.get_ident()
+    assert not loop.is_elsewhere
+
+
+@pytest.mark.slow
+def test_a_device_on_a_bus_is_asked(arm: str, stand: SimulatedRobot) -> None:
+    """From asyncio's thread, while the buses' thread runs; several at once, each with its own answer."""
+    buses = {"legs": {"interface": "aces", "channel": "unix:arm0"}}
+
+    async def program() -> list[object]:
+        with run_real(stand.robot, [], buses=buses, passive=False) as run:
+            boards = [run.rig.devices["JMC0"], run.rig.devices["JMC1"]]
+            asked = (board.ask("SendStatus", reply="Status", timeout_s=5.0) for board in boards)
+            return [as_dict(await ticket)["board"] for ticket in list(asked)]
+
+    assert asyncio.run(program()) == [0, 1]
 
 
 def test_records_are_iterated_over() -> None:
