@@ -8,6 +8,7 @@ A python-can message is mutable and costs 1.7 µs to make; captures of millions 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
@@ -72,8 +73,9 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
         return self.dlc if self.is_remote_frame and self.dlc is not None else len(self.data)
 
 
-#: What scanners take for a frame: one of ours, or one of python-can.
+#: What scanners take for a frame: one of ours, or one of python-can; and what names its channel.
 AnyFrame: TypeAlias = "Frame | can.Message"
+ChannelName: TypeAlias = "str | int | Sequence[int] | None"
 
 
 def message_to_frame(

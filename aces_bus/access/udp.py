@@ -23,6 +23,7 @@ from typing import Any, Self
 from ..errors import CallerError, UnknownNameError
 from ..runtime import VirtualClock
 from ..runtime.clock import EventClock, Timer
+from ..state.quantity import TimeSeries
 from .inlet import AccessEvents, Inlet
 
 #: The longest request.
@@ -48,7 +49,7 @@ class UdpStates:
 
     def __init__(
         self,
-        states: Mapping[str, Any],
+        states: Mapping[str, TimeSeries],
         ports: Mapping[str, int] | Sequence[str],
         *,
         clock: EventClock,

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from typing import Protocol as Interface
 
 from ..device.reading import UNKNOWN
+from ..protocol.record import FieldValue
 from .limiter import PUSHES, Bounds
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class WatchedLine(Interface):
     tripped: str
     is_supervised: bool
 
-    def hand_over(self, value: Any) -> None: ...
+    def hand_over(self, value: FieldValue) -> None: ...
 
     def refuse_more(self, reason: str) -> None: ...
 

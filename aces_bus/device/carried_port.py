@@ -24,7 +24,7 @@ from ..protocol import Variant
 from ..protocol.declare.transport import Transport
 from .incoming_packet import IncomingPacket
 from .outgoing_packet import OutgoingPacket
-from .port import Left, Port, UpperPort
+from .port import Left, Packet, Port, UpperPort
 
 
 class CarriedPort(UpperPort):
@@ -60,7 +60,7 @@ class CarriedPort(UpperPort):
 
         self.port.open(steer)
 
-    def wire_ns(self, packet: Any) -> int:
+    def wire_ns(self, packet: Packet) -> int:
         """Return how long a frame, or all frames of a packet, occupy the bus (ns)."""
         return sum(map(self.port.wire_ns, packet)) if isinstance(packet, tuple) else self.port.wire_ns(packet)
 

@@ -23,6 +23,7 @@ from ..protocol import Protocol, Record, Variant
 from ..protocol.declare.protocol import Configuration
 from ..protocol.files import load_protocol
 from ..protocol.live.scanner import make_scanner
+from .port import Packet
 
 #: Records that wait for `listen`; the oldest go first.
 KEPT = 10_000
@@ -141,7 +142,7 @@ class Client:
             return [self._kept.popleft() for _ in range(len(self._kept))]
         return self._received(timeout)
 
-    def _is_one_frame(self, packet: Any) -> bool:
+    def _is_one_frame(self, packet: Packet) -> bool:
         return self.variant.link == "can" and not isinstance(packet, list)
 
     def _keep_waiting(self) -> None:

@@ -270,7 +270,7 @@ class Device(EndpointMember):
         unit: str = "",
         of: str | Sequence[str] | None = None,
         set: str | None = None,
-        setter: Callable[[Any], None] | None = None,
+        setter: Callable[[FieldValue], None] | None = None,
         to_si: Callable[[Any], Any] = same,
         from_si: Callable[[Any], Any] = same,
         lower: float | None = None,

@@ -31,7 +31,7 @@ from .gathering import gathered
 from .half_duplex import HalfDuplexLine
 from .poll import HostCounts, PollSlot
 from .polling import Polling
-from .port import Left, Port
+from .port import Left, Packet, Port
 from .silence import SilenceWatch
 from .station import BusEndpoint
 from .ticket import Steps, Ticket
@@ -295,7 +295,7 @@ class Host(BusEndpoint[Device]):
         self._woken = False
         self._send_set_points(self.clock.now())
 
-    def _note_frames(self, packet: Any) -> None:
+    def _note_frames(self, packet: Packet) -> None:
         """Note a packet of ours, which may be several frames, as sent."""
         for frame in packet if isinstance(packet, tuple) else (packet,):
             self.scanner.sent(frame)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from .config import priority_of
 from .declared import Poll
 from .device import Device
+from .port import Packet
 from .station import tags_of
 from .ticket import Ticket
 
@@ -65,7 +65,7 @@ class PollSlot:
     )
 
     def __init__(
-        self, device: Device, poll: Poll, packet: Any, note: Callable[[], None], wire_ns: int
+        self, device: Device, poll: Poll, packet: Packet, note: Callable[[], None], wire_ns: int
     ) -> None:
         #: How long its packet occupies the bus.
         self.wire_ns = wire_ns
@@ -88,7 +88,7 @@ class PollSlot:
         #: What it costs on the wire, with its answer; learnt.
         self.cost_ns = 2 * wire_ns
 
-    def ask_with(self, packet: Any, note: Callable[[], None]) -> None:
+    def ask_with(self, packet: Packet, note: Callable[[], None]) -> None:
         """Ask with this packet; `note` is called when it has left, as replies may hang on it."""
         self.packet = self.ticket.packet = packet
         self.note = note

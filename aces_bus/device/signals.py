@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import CallerError
+from ..protocol.record import FieldValue
 from ..runtime.clock import Clock
 from .reading import UNKNOWN, Reading
 
@@ -73,7 +74,7 @@ class Signal:
         #: What a device makes of a set-point beyond `lower` or `upper`; None: the signal cannot be set.
         self.limit: Callable[[Signal, Any], Any] | None = None
         #: Where set-points go on a robot, instead of straight to the driver: limits, rates, owners.
-        self.door: Callable[[Any], None] | None = None
+        self.door: Callable[[FieldValue], None] | None = None
 
     def update(self, value: Any, instant: int) -> None:
         """Take a new value and call the listeners."""

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from ..errors import AcesError, CallerError, DeviceError
 from ..runtime.clock import EventClock
+from .port import Packet
 
 #: A job yields a ticket or another job (and gets its result), or ns to let pass.
 Step = Any
@@ -115,7 +116,7 @@ class Ticket(Awaited):
         clock: EventClock,
         device: Any,
         message: str,
-        packet: Any,
+        packet: Packet,
         reply: frozenset[str],
         timeout_ns: int,
         retries: int = 0,

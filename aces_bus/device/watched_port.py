@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from .port import Left, Port, UpperPort
+from .port import Left, Packet, Port, UpperPort
 
 #: Called with a frame or piece of bytes, the instant (ns), and whether it was sent from here. Must not block.
 Passed = Callable[[Any, int, bool], Any]
@@ -22,7 +22,7 @@ class WatchedPort(UpperPort):
         """Start receiving."""
         passed = self._passed
 
-        def both(packet: Any, instant: int) -> None:
+        def both(packet: Packet, instant: int) -> None:
             passed(packet, instant, False)
             received(packet, instant)
 

@@ -136,6 +136,10 @@ FieldValue: TypeAlias = (
 Values: TypeAlias = "Sequence[FieldValue]"
 
 
+#: A value of a record as JSON has it: bytes stay bytes.
+PlainValue: TypeAlias = "float | str | bytes | Sequence[PlainValue] | Mapping[str, PlainValue] | None"
+
+
 def protocol_name_of(kind: type[Record]) -> str:
     """Return the name of the protocol whose records these are; empty of `Unknown`."""
     return kind._protocol  # pyright: ignore[reportPrivateUsage]  # private, as a message may have a field "protocol"

@@ -49,7 +49,7 @@ class ReferenceItem:
     is_silent: bool = field(default=False, compare=False, repr=False)
     packet: bytes = field(default=b"", compare=False, repr=False)
     transport: Transport | None = field(default=None, compare=False, repr=False)
-    frame: Any = field(default=None, compare=False, repr=False)
+    frame: AnyFrame | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(eq=False)
@@ -348,7 +348,7 @@ class Reference:
                 context.note(PastRequest(message.name, channel, time, values))
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
 
-    def sent_frame(self, frame: Any) -> None:
+    def sent_frame(self, frame: AnyFrame) -> None:
         """Note our own transmission of a CAN frame."""
         carrier = self._carrier_of(frame)
         if carrier is None:
@@ -379,7 +379,7 @@ class Reference:
 
     # ------------------------------------------------------------------ frames
 
-    def frames(self, frames: Iterable[Any], first: int = 0) -> list[ReferenceItem]:
+    def frames(self, frames: Iterable[AnyFrame], first: int = 0) -> list[ReferenceItem]:
         """Return what the frames are, of which the first one is number `first`; frames of packets under way are left
         for later.
         """

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from ..device.config import DeviceConfig, Input
 from ..device.device import Device
@@ -23,6 +23,7 @@ from ..device.reading import UNKNOWN
 from ..device.station import BusEndpoint
 from ..device.stopping import stop_devices
 from ..errors import CallerError, NotStoppedError, UnknownNameError
+from ..protocol.record import FieldValue
 from .keys import Keyboard, character_of
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ LOOK_NS, LEAST_NS, LOOKS = 20_000_000, 2_000_000, 4
 NOT_YET: Final = "nothing was received of it yet"
 
 
-def objection(entry: Input, value: Any) -> str:
+def objection(entry: Input, value: FieldValue) -> str:
     """Return why a value that was read does not count as clear; "" where it does.
 
     >>> objection(Input(signal="IO.panel", clear=True), False), objection(Input(signal="IO.word", bit=2, pressed=1), 0b011)
@@ -56,7 +57,7 @@ def objection(entry: Input, value: Any) -> str:
     return f"reads {value!r}" if value == entry.pressed else ""
 
 
-def _kind(value: Any) -> str:
+def _kind(value: FieldValue) -> str:
     """Return what a value can be compared with; numbers that are not finite with nothing."""
     if isinstance(value, (bool, int, float)):
         return "number" if isfinite(value) else "no number"

@@ -47,7 +47,7 @@ class Room:
     is_exact: bool
 
 
-Draw = Callable[[ChoiceSource, Any, Room], Any]
+Draw = Callable[[ChoiceSource, Container, Room], Any]
 
 
 # ---------------------------------------------------------------------- the walk
@@ -106,7 +106,7 @@ class _Walk:
 
         return draw
 
-    def _format(self, con: Any) -> Draw:
+    def _format(self, con: c.FormatField) -> Draw:
         kind, size = con.fmtstr[-1:], con.length
         if kind in "efd":
             return _float(kind)
@@ -114,8 +114,8 @@ class _Walk:
         high = low + (1 << 8 * size) - 1
         return lambda source, ctx, room: edge_number(source, low, high)
 
-    def _integer(self, con: Any) -> Draw:
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> int:
+    def _integer(self, con: c.BytesInteger) -> Draw:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> int:
             width = 8 * _asked(con.length, ctx)
             low = -(1 << width - 1) if con.signed and width else 0
             return edge_number(source, low, low + (1 << width) - 1)
@@ -129,7 +129,7 @@ class _Walk:
         high = low + (1 << con.width) - 1
         return lambda source, ctx, room: edge_number(source, low, high)
 
-    def _const(self, con: Any) -> Draw:
+    def _const(self, con: c.Const) -> Draw:
         value = con.value
         return lambda source, ctx, room: value
 
@@ -169,8 +169,8 @@ class _Walk:
             return max(0, room.left)
         return source.integer(0, max(0, min(room.left, 8) if source.integer(0, 3) else room.left))
 
-    def _bytes(self, con: Any) -> Draw:
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> bytes:
+    def _bytes(self, con: c.Bytes) -> Draw:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> bytes:
             try:
                 length = int(_asked(con.length, ctx))
             except (
@@ -217,10 +217,10 @@ class _Walk:
 
         return draw
 
-    def _array(self, con: Any) -> Draw:
+    def _array(self, con: c.Array) -> Draw:
         draw_inner, (low, _) = self.of(con.subcon), sizes(con.subcon)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             try:
                 count = int(_asked(con.count, ctx))
             except (KeyError, AttributeError, TypeError):  # a count that is rebuilt from what is drawn here
@@ -261,20 +261,20 @@ class _Walk:
         draw_inner = self.of(con.body)
         return lambda source, ctx, room: draw_inner(source, ctx, room) if con.is_present(ctx) else None
 
-    def _branch(self, con: Any) -> Draw:
+    def _branch(self, con: c.IfThenElse) -> Draw:
         yes, no = self.of(con.thensubcon), self.of(con.elsesubcon)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             holds = _asked(con.condfunc, ctx)
             return (yes if holds else no)(source, ctx, room)
 
         return draw
 
-    def _switch(self, con: Any) -> Draw:
+    def _switch(self, con: c.Switch) -> Draw:
         cases = {key: self.of(case) for key, case in con.cases.items()}
         other = self.of(con.default)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             key = _asked(con.keyfunc, ctx)
             return cases.get(key, other)(source, ctx, room)
 
@@ -284,10 +284,10 @@ class _Walk:
         draw_inner = self.of(con.subcon)
         return lambda source, ctx, room: draw_inner(source, ctx, Room(max(0, min(room.left - 1, 24)), False))
 
-    def _terminated(self, con: Any) -> Draw:
+    def _terminated(self, con: c.NullTerminated) -> Draw:
         mark: bytes = con.term
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> bytes:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> bytes:
             return source.bytes(source.integer(0, max(0, min(room.left - len(mark), 8)))).replace(
                 mark[:1], b""
             )
@@ -299,7 +299,7 @@ class _Walk:
             inner = inner.subcon
         return draw if inner is c.GreedyBytes else self._parsed(con)
 
-    def _sequence(self, con: Any) -> Draw:
+    def _sequence(self, con: c.FocusedSeq) -> Draw:
         """Draw a `PrefixedArray`: a count that is rebuilt, and an array of that size."""
         inner = con.subcons[-1]
         inner = inner.subcon if isinstance(inner, c.Renamed) else inner
@@ -307,7 +307,7 @@ class _Walk:
             return self._parsed(con)
         draw_inner, (low, _) = self.of(inner.subcon), sizes(inner.subcon)
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             most = max(0, room.left - 1) // max(1, low)
             count = source.integer(0, min(4, most))
             return c.ListContainer(
@@ -316,11 +316,11 @@ class _Walk:
 
         return draw
 
-    def _items(self, con: Any) -> Draw:
+    def _items(self, con: Items) -> Draw:
         """Return a list as it is read: good items of all kinds, unknown ones, and bytes that are none."""
         kinds = [(con.numbers[name], self.of(data)) for name, data in con.data.items()]
 
-        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Container, room: Room) -> Any:
             data, left = b"", max(0, room.left)
             for _ in range(source.integer(0, 5)):
                 number, draw_inner = source.choice(kinds)

@@ -58,18 +58,20 @@ def encoders(trial: Trial) -> None:
             _judge(trial, message, given, change)
 
 
-def _given(trial: Trial, message: Message, image: bytes, request: Mapping[str, FieldValue]) -> dict[str, Any]:
+def _given(
+    trial: Trial, message: Message, image: bytes, request: Mapping[str, FieldValue]
+) -> dict[str, FieldValue]:
     """Return a packet's values in the sheet's units: what an encoder is given. What only the request says is not."""
 
-    def ask() -> dict[str, Any]:
+    def ask() -> dict[str, FieldValue]:
         parsed = message.struct.parse(image, request=request)
         return {name: parsed[name] for name in message.fields if name in parsed and name not in request}
 
-    found: dict[str, Any] = trial.bench.once(("given", message, image, tuple(request.values())), ask)
+    found: dict[str, FieldValue] = trial.bench.once(("given", message, image, tuple(request.values())), ask)
     return found
 
 
-def _judge(trial: Trial, message: Message, given: dict[str, Any], change: Change | None) -> None:
+def _judge(trial: Trial, message: Message, given: dict[str, FieldValue], change: Change | None) -> None:
     fields = given if change is None else changed(given, change)
     wanted, refusal = built(message, fields) if NO_FIELD not in fields else (None, NO_FIELD)
     encoder = trial.bench.encoder(message)
@@ -93,7 +95,7 @@ def _difference(
     encoder: Encoder,
     way: str,
     message: Message,
-    fields: dict[str, Any],
+    fields: dict[str, FieldValue],
     image: bytes | None,
     refusal: str,
     change: Change | None,
@@ -171,10 +173,10 @@ def _changes_of(name: str, value: FieldValue) -> list[Change]:
     return [((name,), GONE), *(((name, *path), other) for path, other in _others(value))]
 
 
-def changed(fields: Mapping[str, FieldValue], change: Change) -> dict[str, Any]:
+def changed(fields: Mapping[str, FieldValue], change: Change) -> dict[str, FieldValue]:
     """Return the fields with one change."""
     path, value = change
-    made: dict[str, Any] = _with(fields, path, value)
+    made: dict[str, FieldValue] = _with(fields, path, value)
     return made
 
 

@@ -33,7 +33,7 @@ from ..protocol.declare.protocol import Variant
 from ..protocol.live.can import CanScanner
 from ..protocol.live.stream import StreamScanner
 from ..protocol.protocol import Protocol
-from ..protocol.record import Record, Unknown
+from ..protocol.record import FieldValue, Record, Unknown
 from .allowed_work import candidates_in, unstuffing_allowed, work_allowed
 from .bench import bench_of, reads
 from .columns import MODES, columns_difference
@@ -125,7 +125,7 @@ def _values_survive(packet: DrawnPacket) -> str:
     return ""
 
 
-def _asked(message: Message, values: Any) -> dict[str, Any]:
+def _asked(message: Message, values: Any) -> dict[str, FieldValue]:
     return {name: values.get(name) for name in message.request_fields}
 
 

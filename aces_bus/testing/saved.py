@@ -25,6 +25,7 @@ from msgspec import structs
 from ..errors import AcesError, CallerError, CaptureError
 from ..frame_table import Channels, FrameTable
 from ..frames import Frame
+from ..protocol.record import PlainValue
 from .bench import Bench
 from .packets import DrawnPacket
 from .scenes import Scene, Way, Wire, wire_variants
@@ -169,13 +170,13 @@ def scene_text(
     )
 
 
-def _frame(frame: Frame) -> dict[str, Any]:
+def _frame(frame: Frame) -> dict[str, PlainValue]:
     about = structs.asdict(frame) | {"data": frame.data.hex()}
     usual = {"is_rx": None, "timestamp": None, "channel": None, "dlc": None}
     return {name: value for name, value in about.items() if value is not usual.get(name, False)}
 
 
-def _written(packet: DrawnPacket) -> dict[str, Any]:
+def _written(packet: DrawnPacket) -> dict[str, PlainValue]:
     request = _written(packet.request) if packet.request is not None else None
     return {
         "message": packet.message.name,

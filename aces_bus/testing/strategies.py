@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..protocol.record import FieldValue
+
 try:
     from hypothesis import strategies as st
 except ImportError as missing:
@@ -36,7 +38,7 @@ def _drawn(draw: Any) -> Drawn:
 
 
 @st.composite
-def fields(draw: Any, message: Message) -> dict[str, Any]:
+def fields(draw: Any, message: Message) -> dict[str, FieldValue]:
     """Draw raw values of all fields of `message`: `message.struct.build(values, raw=True)` takes them."""
     return draw_values(message, _drawn(draw))
 

@@ -19,7 +19,7 @@ from ..protocol.counts import ScanCounts
 from ..protocol.declare.message import Message
 from ..protocol.declare.packet import can_image
 from ..protocol.live.scanner import Scanner
-from ..protocol.record import FieldValue, Unknown, as_dict
+from ..protocol.record import FieldValue, PlainValue, Unknown, as_dict
 from ..protocol.reference import Reference
 from .bench import Bench, bench_of
 from .scenes import Scene, Way, Wire
@@ -178,7 +178,7 @@ def as_given(found: object, given: object) -> object:
     return found
 
 
-def plain_counts(counts: ScanCounts) -> dict[str, Any]:
+def plain_counts(counts: ScanCounts) -> dict[str, PlainValue]:
     """Return counts as plain values."""
     bins = (
         "total",
@@ -265,7 +265,7 @@ class Trial:
     # ------------------------------------------------------------------ played
 
     @cached_property
-    def _whole(self) -> tuple[list[Any], dict[str, Any], int]:
+    def _whole(self) -> tuple[list[Any], dict[str, PlainValue], int]:
         scanner = self.bench.scanner()
         given = play(scanner, self.scene)
         return given, plain_counts(scanner.counts), scanner.counts.balance
@@ -276,7 +276,7 @@ class Trial:
         return self._whole[0]
 
     @property
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> dict[str, PlainValue]:
         """Its counts."""
         return self._whole[1]
 
@@ -286,7 +286,7 @@ class Trial:
         return as_items(self.given, self.bench.is_can)
 
     @cached_property
-    def cut_up(self) -> tuple[list[Any], dict[str, Any], int]:
+    def cut_up(self) -> tuple[list[Any], dict[str, PlainValue], int]:
         """Items that the scanner gives for the scene in pieces, its counts, and their imbalance."""
         scanner = self.bench.scanner()
         given = play(scanner, self.scene, self.cuts)
@@ -302,7 +302,7 @@ class Trial:
         """Items that the reference gives for the whole scene."""
         return items_by(self.bench.reference(), self.scene)
 
-    def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, Any]]]:
+    def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, FieldValue]]]:
         """Return message, image and request's fields of each record that the scanner gave."""
         names = self.bench.by_name
         for record in self.given:

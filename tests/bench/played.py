@@ -61,9 +61,11 @@ def recorded_answers(robot: Robot, rate_hz: float) -> dict[str, Answers]:
         node.hears_sent = False
         answers: dict[tuple[int, bytes], Sequence[Frame]] = {}
         for slot in host.slots:
-            node.send(slot.packet)
+            packet = slot.packet
+            assert isinstance(packet, Frame)
+            node.send(packet)
             made.advance(ANSWER_NS / 1e9)
-            answers[slot.packet.arbitration_id, slot.packet.data] = tuple(received)
+            answers[packet.arbitration_id, packet.data] = tuple(received)
             received.clear()
         found[name] = answers
     return found

@@ -28,6 +28,7 @@ from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError
 from aces_bus.hardware.gate import Received
 from aces_bus.protocol import Record, Variant
+from aces_bus.recordings.base import Direction
 from aces_bus.recordings.filters import parse_filter
 
 from .bus_arg import ChosenBus, chosen_end
@@ -149,7 +150,9 @@ class Selection:
             self._of_streams(variants, arguments.direction, names)
         self._requests = any(map(has_requests, variants)) and link != "can"
 
-    def _of_streams(self, variants: Sequence[Variant], direction: Any, names: Sequence[str]) -> None:
+    def _of_streams(
+        self, variants: Sequence[Variant], direction: Direction | None, names: Sequence[str]
+    ) -> None:
         opposite: dict[Any, Any] = {"to device": "from device", "from device": "to device", None: None}
         if direction not in opposite:
             raise CallerError("--direction both: bytes from A to B go one way; say to or from")

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from aces_bus.errors import CallerError, first_names
 from aces_bus.loopback import is_loopback
 from aces_bus.protocol import Variant
+from aces_bus.protocol.record import PlainValue
 
 from .options import Group, argument, at_least, flag
 
@@ -265,7 +266,7 @@ def near_buses(channel: str) -> str:
     return f"served: {first_names(served_channels())}" + (f"; did you mean {near[0]}?" if near else "")
 
 
-def _named(channel: str) -> Mapping[str, Any]:
+def _named(channel: str) -> Mapping[str, PlainValue]:
     """Return python-can's keywords of a channel that is named without an interface; raise `CallerError` if
     there is none.
     """

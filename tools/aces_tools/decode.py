@@ -317,7 +317,7 @@ class LiveDecoding(Decoding):
         return self.scanners[link, direction]
 
     def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
-        scanner: Any = self._scanner("can", self.direction)
+        scanner: Scanner = self._scanner("can", self.direction)
         scanner.reset()
         try:
             for frames in patience.each(capture.batches(BATCH if self.count is None else 1)):
@@ -353,7 +353,7 @@ class LiveDecoding(Decoding):
         self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
 
     def _stream_scanner(self, direction: Direction | None) -> Any:
-        scanner: Any = self._scanner("serial", direction)
+        scanner: Scanner = self._scanner("serial", direction)
         scanner.reset()
         return scanner
 

@@ -16,6 +16,7 @@ from aces_bus import open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.frame_table import to_ns
 from aces_bus.protocol import Variant
+from aces_bus.protocol.live.scanner import Scanner
 from aces_bus.recordings.base import CanRecording, Link, Recording, SerialRecording
 from aces_bus.recordings.filters import CanFilter, parse_filter
 
@@ -130,7 +131,7 @@ class Decoding(ABC):
         """Return a scanner for the bytes of one direction."""
 
     @abstractmethod
-    def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
+    def _feed(self, scanner: Scanner, data: bytes, time: float | None) -> Any:
         """Give a scanner bytes; return what it makes of them."""
 
     @abstractmethod

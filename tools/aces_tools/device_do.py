@@ -20,6 +20,7 @@ from aces_bus.device import Device
 from aces_bus.device.signals import Signal
 from aces_bus.device.stopping import stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
+from aces_bus.protocol.record import FieldValue
 
 from .console import ENDLESS, StatusLine, print_json, say, say_note
 from .device_text import host_loss_text, reading, result_lines, shown_value, value_for
@@ -213,7 +214,7 @@ class Doing:
 
     # ------------------------------------------------------------------ set
 
-    def set(self, values: dict[str, Any], duration: int | None) -> int:
+    def set(self, values: dict[str, FieldValue], duration: int | None) -> int:
         """Give set-points for a while; 1 when they cannot have been followed."""
         device = self.device
         if self.arguments.enable and "enable" not in device.actions:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol.record import FieldValue
 
 from .console import Output, terminal_width
 from .output.columns import column_output
@@ -27,7 +28,7 @@ _DEGREES = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?:deg|°)(/s)?")
 # ---------------------------------------------------------------------- values
 
 
-def shown_value(value: Any) -> str:
+def shown_value(value: FieldValue) -> str:
     """Return a plain value for people, in one line."""
     match value:
         case None:
@@ -53,7 +54,7 @@ def reading(signal: Signal) -> str:
     return f"{whole} (stale, {age / 1e9:.1f} s old)" if signal.is_stale and age is not None else whole
 
 
-def result_lines(value: Any, indent: str = "") -> list[str]:
+def result_lines(value: FieldValue, indent: str = "") -> list[str]:
     """Return what an action has found, a line a name."""
     if not isinstance(value, dict):
         return [] if value is None else [f"{indent}{shown_value(value)}"]
@@ -81,13 +82,13 @@ def aligned_rows(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[st
 # ---------------------------------------------------------------------- what people write
 
 
-def parse_pairs(texts: Sequence[str]) -> dict[str, Any]:
+def parse_pairs(texts: Sequence[str]) -> dict[str, FieldValue]:
     """Parse `kp=200 confirm=true mode=torque` as values: numbers, true and false, [lists], hex:0a; everything
     else is text.
 
     Raises `CallerError` for what is not a NAME=VALUE, or is given twice.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, FieldValue] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name or not value:

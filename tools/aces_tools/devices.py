@@ -19,6 +19,7 @@ from aces_bus.device.signals import Signal
 from aces_bus.device.station import credential_text
 from aces_bus.device.twin import FAULTS
 from aces_bus.errors import AcesError
+from aces_bus.protocol.record import PlainValue
 
 from .console import print_json, say
 from .device_text import aligned_rows
@@ -57,9 +58,9 @@ def run(arguments: argparse.Namespace) -> int:
     return status
 
 
-def describe_driver(driver: Driver) -> dict[str, Any]:
+def describe_driver(driver: Driver) -> dict[str, PlainValue]:
     """Return a driver with what the devices of its example robot have."""
-    signals: dict[str, dict[str, Any]] = {}
+    signals: dict[str, dict[str, PlainValue]] = {}
     actions = dict(driver.device.actions)
     asking = set(driver.device.asking)
     if driver.virtual:

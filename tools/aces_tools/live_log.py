@@ -29,6 +29,7 @@ from aces_bus.export.files import AppendFile, size_on_disk, telling
 from aces_bus.export.sqlite import JournaledDatabase
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
+from aces_bus.protocol.live.scanner import Scanner
 from aces_bus.recordings.base import CanRecording, Link
 from aces_bus.recordings.write import PACKED, open_writer, writer_format, writer_formats
 from aces_bus.recordings.write.canlog import CanlogSqliteWriter
@@ -289,7 +290,13 @@ class LiveTables:
     """Decoded items as tables, one a message. Raises `CallerError` when they cannot be written."""
 
     def __init__(
-        self, path: str, variants: Sequence[Variant], scanner: Any, *, only: str | None, shows_losses: bool
+        self,
+        path: str,
+        variants: Sequence[Variant],
+        scanner: Scanner,
+        *,
+        only: str | None,
+        shows_losses: bool,
     ) -> None:
         self._path = path
         self._export = open_export(path, variants=variants, only=only, live=True)

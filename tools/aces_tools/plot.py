@@ -25,6 +25,7 @@ from aces_bus import FrameTable
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.record import PlainValue
 from aces_bus.recordings.base import Recording
 
 from .console import check_not_read, counted, say, say_note
@@ -122,7 +123,7 @@ ARGUMENTS: Arguments = (
     COLOR,
 )
 #: What `Decoding` also asks for.
-DEFAULTS: dict[str, Any] = {"message": [], "filter": [], "strict": False}
+DEFAULTS: dict[str, PlainValue] = {"message": [], "filter": [], "strict": False}
 
 
 def run(arguments: argparse.Namespace) -> int:

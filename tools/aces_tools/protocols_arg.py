@@ -40,6 +40,7 @@ from aces_bus.protocol import Protocol, Variant
 from aces_bus.protocol.exchange import database_suffixes
 from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.protocol.exchange.read_once import known_database
+from aces_bus.protocol.record import PlainValue
 
 from .console import say_note
 
@@ -179,7 +180,9 @@ def _of_robot(path: str, data: bytes, protocol: Protocol) -> tuple[dict[str, Map
     return {**robot.tables(protocol)}, robot.dialect(protocol.name)
 
 
-def _of_tables(path: str, content: Mapping[str, Any], protocol: Protocol) -> dict[str, Mapping[int, Any]]:
+def _of_tables(
+    path: str, content: Mapping[str, PlainValue], protocol: Protocol
+) -> dict[str, Mapping[int, Any]]:
     """Return the tables of a file that holds nothing else."""
     needed = {key for tables in protocol.configurations.values() for key in tables}
     needed |= {condition.key for message in protocol.declared for condition in message.when}

@@ -21,7 +21,7 @@ from aces_bus.errors import CallerError, FieldError, UnknownNameError
 from aces_bus.protocol import Message, Record, Variant
 from aces_bus.protocol.declare.registers import Register, RegisterMap
 from aces_bus.protocol.plan.flatten import NotFlat, scalar_of
-from aces_bus.protocol.record import protocol_name_of
+from aces_bus.protocol.record import FieldValue, protocol_name_of
 
 from .output.field_text import PrintedField
 from .output.value_text import anything, value_printer
@@ -221,7 +221,7 @@ def _agreed(message: Message, name: str) -> Register:
     return found[0]
 
 
-def _parsed(table: RegisterMap, written: Mapping[str, str]) -> dict[str, Any]:
+def _parsed(table: RegisterMap, written: Mapping[str, str]) -> dict[str, FieldValue]:
     """Return values from their texts, as the fields of these registers take them."""
     values = {}
     for name, text in written.items():

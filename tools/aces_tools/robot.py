@@ -33,6 +33,7 @@ import msgspec
 
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.plain_text import printable
+from aces_bus.protocol.record import FieldValue, PlainValue
 
 from .console import check_suffix, counted, print_json, say, say_note, write_text
 from .options import COLOR, JSON, OUTPUT, STRICT, Arguments, argument
@@ -102,7 +103,7 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
     """Problems on stdout, as they are the result; the status says whether one is an error."""
     from aces_bus.robot.installed import check_robot
 
-    status, objects = 0, list[dict[str, Any]]()
+    status, objects = 0, list[dict[str, PlainValue]]()
     for name in names:
         robot, problems = check_robot(name, is_strict=arguments.strict)
         is_right = robot is not None
@@ -411,7 +412,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
     )
 
 
-def _cell(value: Any) -> str:
+def _cell(value: FieldValue) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_cell(item)}" for key, item in value.items())
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

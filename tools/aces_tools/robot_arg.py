@@ -27,6 +27,7 @@ from msgspec.structs import replace
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.hardware.served.address import ServedAddress
+from aces_bus.protocol.record import PlainValue
 
 from .bus_arg import near_buses, served_address
 from .options import SEED, Argument, Group, argument, at_least, flag, several
@@ -281,7 +282,7 @@ def channel_of(robot: Robot, name: str, options: Mapping[str, Mapping[str, Any]]
     return options[name].get("channel") or robot.buses[name].channel
 
 
-def check_channels(robot: Robot, options: Mapping[str, Mapping[str, Any]]) -> None:
+def check_channels(robot: Robot, options: Mapping[str, Mapping[str, PlainValue]]) -> None:
     """Raise `CallerError` unless the channel of each bus with active devices is known."""
     examples = {"can": "can0", "serial": "/dev/ttyUSB0"}
     for name in dict.fromkeys(config.bus for config in robot.devices.values() if config.active):

@@ -27,9 +27,10 @@ import msgspec
 from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.frames import message_to_frame
+from aces_bus.hardware import CanGate, DatagramGate, SerialGate
 from aces_bus.protocol import CanScanner, Message, Record, Variant
 from aces_bus.protocol.draw.text import picture
-from aces_bus.protocol.record import Meta
+from aces_bus.protocol.record import FieldValue, Meta
 from aces_bus.recordings.base import Chunk
 from aces_bus.recordings.candump.line import read_line
 from aces_bus.recordings.text.rows import UnreadableRow
@@ -118,7 +119,7 @@ class Sending:
         self.variants = parse_protocols(arguments.protocol)
         self.variant: Variant | None = None
         self.message: Message | None = None
-        self.fields: dict[str, Any] = {}
+        self.fields: dict[str, FieldValue] = {}
         #: Makes what is sent next: counters go on.
         self.make: Callable[[], list[Packet]] = self._raw() if "#" in arguments.what[0] else self._message()
         self.first = self.make()
@@ -301,7 +302,7 @@ class Sending:
                 status = status or 1
         return status
 
-    def _handshakes(self, gate: Any) -> Any:
+    def _handshakes(self, gate: CanGate | SerialGate | DatagramGate) -> Any:
         """Return what sends packets that take a handshake, or pauses, and lets their answers go on; None where there
         is neither.
         """
@@ -323,7 +324,7 @@ class Sending:
                 return True
         return False
 
-    def _replies(self, gate: Any) -> Replies | None:
+    def _replies(self, gate: CanGate | SerialGate | DatagramGate) -> Replies | None:
         if self.reply_ns is None:
             return None
         writer = self.writer() if self.variants else None

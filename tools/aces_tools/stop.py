@@ -21,13 +21,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any
 
 from aces_bus import load_protocol
 from aces_bus.device import Device, Driver, Robot, load_driver
 from aces_bus.device.config import Bus, DeviceConfig
 from aces_bus.device.drivers import list_drivers
 from aces_bus.errors import AcesError, CallerError, NotStoppedError, UnknownNameError
+from aces_bus.protocol.record import PlainValue
 
 from .console import say
 from .options import PROTOCOL, Arguments, argument, at_least
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     return stop_now(robot, bus_options(robot, arguments))
 
 
-def stop_now(robot: Robot, options: Mapping[str, Mapping[str, Any]]) -> int:
+def stop_now(robot: Robot, options: Mapping[str, Mapping[str, PlainValue]]) -> int:
     """Stop a robot's devices and say who has stopped; the exit status."""
     from aces_bus.robot import stop_robot
 

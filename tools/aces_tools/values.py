@@ -24,6 +24,7 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Message
 from aces_bus.protocol.numbers import parse_number
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import FieldValue
 
 _ASSIGNMENT = re.compile(r"\s*([A-Za-z_]\w*(?:\.\w+)*)\s*=(.*)", re.DOTALL)
 _OPENING, _CLOSING = "[{(", "]})"
@@ -31,7 +32,7 @@ _OPENING, _CLOSING = "[{(", "]})"
 DEEPEST = 16
 
 
-def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
+def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, FieldValue]:
     """Return the values of `field=value` arguments, as the encoder takes them.
 
     Raises `CallerError` for what cannot be read, is given twice or is half a list, and `UnknownNameError` for a field that
@@ -63,7 +64,7 @@ class _Given(dict[str | int, Any]):
     """Values given one by one, under their names or places."""
 
 
-def _put(tree: dict[str | int, Any], path: Sequence[str | int], value: Any, name: str) -> None:
+def _put(tree: dict[str | int, Any], path: Sequence[str | int], value: FieldValue, name: str) -> None:
     for step in path[:-1]:
         inner = tree.setdefault(step, _Given())
         if not isinstance(inner, _Given):
@@ -74,7 +75,7 @@ def _put(tree: dict[str | int, Any], path: Sequence[str | int], value: Any, name
     tree[path[-1]] = value
 
 
-def _whole(value: Any, name: str) -> Any:
+def _whole(value: FieldValue, name: str) -> Any:
     """Build lists and records from values that were given one by one."""
     if not isinstance(value, _Given):
         return value
@@ -179,12 +180,12 @@ def _list(text: str, nodes: Sequence[p.Node], name: str, depth: int) -> list[Any
     ]
 
 
-def _record(text: str, nodes: Mapping[str, p.Node], name: str, depth: int) -> dict[str, Any]:
+def _record(text: str, nodes: Mapping[str, p.Node], name: str, depth: int) -> dict[str, FieldValue]:
     if text[:1] + text[-1:] != "{}":
         raise CallerError(
             f"{name}={text}: this is a record of several values; write {name}={{a=1,b=2}}, or {name}.a=1 {name}.b=2"
         )
-    found: dict[str, Any] = {}
+    found: dict[str, FieldValue] = {}
     for part in _parts(text[1:-1], name):
         key, sign, value = part.partition("=")
         key = key.strip()

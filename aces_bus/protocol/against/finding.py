@@ -7,9 +7,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..lint.finding import Finding
+from ..record import PlainValue
 
 
 class Moment(NamedTuple):
@@ -43,7 +44,7 @@ class Observation(Finding):
     first: Moment | None = None
     remedy: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return it for JSON: what every finding has, with the evidence; times in s from the recording's first instant."""
         first = self.first
         return {

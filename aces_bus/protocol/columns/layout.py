@@ -27,6 +27,7 @@ from ...frame_table import NO_TIME, Channels
 from ...frames import EXTENDED, FD, REMOTE
 from ..declare.protocol import Variant
 from ..plan import nodes as p
+from ..record import FieldValue
 from .table import Array, Column, ColumnKind, MessageTable, dtype_of, join_pieces, kinds_of, object_array
 
 Holds = Literal["number", "bool", "time", "label", "bytes", "text", "integer", "wide", "json"]
@@ -243,21 +244,21 @@ def clean_name(text: str) -> str:
     return text
 
 
-def _text(value: Any) -> str:
+def _text(value: FieldValue) -> str:
     return clean_name(value if isinstance(value, str) else str(plain_json(value)))
 
 
-def _bytes(value: Any) -> bytes:
+def _bytes(value: FieldValue) -> bytes:
     return bytes(value) if isinstance(value, (bytes, bytearray, memoryview)) else _json(value).encode()
 
 
-def _json(value: Any) -> str:
+def _json(value: FieldValue) -> str:
     import msgspec
 
     return msgspec.json.encode(plain_json(value)).decode()
 
 
-def plain_json(value: Any) -> Any:
+def plain_json(value: FieldValue) -> Any:
     """Return a value of any shape as what JSON has: bytes as hexadecimal, integers beyond 64 bits as their digits."""
     if value is None or isinstance(value, (bool, float)):
         return value

@@ -21,7 +21,7 @@ from ..declare.protocol import Variant
 from ..generate.load import OnDemand
 from ..live.scanner import Scanner, make_scanner
 from ..plan import nodes as p
-from ..record import Record, Unknown, WayStep, getter, plain_value, protocol_name_of
+from ..record import FieldValue, Record, Unknown, WayStep, getter, plain_value, protocol_name_of
 from ..record_plans import message_of
 from .table import Array, Column, ColumnKind, MessageTable, dtype_of, kinds_of, lost_table, object_array
 
@@ -218,7 +218,7 @@ class Gatherer:
         )
 
 
-def _numbers_of_flags(value: Any) -> Any:
+def _numbers_of_flags(value: FieldValue) -> Any:
     """Return the flags of groups as plain numbers, as those of a column of one value are."""
     if not isinstance(value, list):
         return value

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 from construct import Construct, Container, GreedyBytes, ListContainer, ValidationError, stream_read_entire
 
 from ...errors import FieldError, SpecError
+from ..record import FieldValue
 from .fields import Field, is_raw, plain_number
 from .place import caller
 
@@ -37,7 +38,7 @@ class AsciiField(Field):
             raise ValidationError(f"{text!r} is not of its form", path=path)
         return text if is_raw(context) else self.to_physical(text)
 
-    def _encode(self, obj: Any, context: Container, path: str) -> Any:
+    def _encode(self, obj: FieldValue, context: Container, path: str) -> FieldValue:
         text = obj if is_raw(context) else "" if obj is None else self.to_raw(obj, path)
         if not isinstance(text, str) or not self.accepts(text):
             raise FieldError(f"{path}: {obj!r} cannot be written here")

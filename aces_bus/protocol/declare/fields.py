@@ -250,7 +250,7 @@ class Field(Adapter):
     def _decode(self, obj: Any, context: Any, path: str) -> Any:
         return obj if is_raw(context) else self.to_physical(obj)
 
-    def _encode(self, obj: Any, context: Container, path: str) -> Any:
+    def _encode(self, obj: FieldValue, context: Container, path: str) -> FieldValue:
         return obj if is_raw(context) else self.to_raw(obj, path)
 
     def to_physical(self, raw: Any) -> Any:

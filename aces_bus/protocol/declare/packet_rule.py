@@ -11,7 +11,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...frames import EXTENDED, AnyFrame
+from ...frames import EXTENDED, AnyFrame, ChannelName
 from .packet import can_image
 from .transport import FramePart, Transport
 
@@ -285,7 +285,7 @@ class PacketRule:
     def _session(self, who: Hashable) -> _Session | None:
         return next((session for session in self.open if session.who == who), None)
 
-    def _within(self, channel: Any, key: int, data: bytes) -> FramePart | None:
+    def _within(self, channel: ChannelName, key: int, data: bytes) -> FramePart | None:
         """Return what a frame is to an acknowledged packet that is under way, or lost."""
         for name in self.transport.conversations(key):
             session = self._session((channel, name))

@@ -26,7 +26,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from sys import float_info
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import construct as c
 import msgspec
@@ -43,6 +43,11 @@ from ..protocol import Protocol
 from .names import PythonNames
 from .problems import ImportProblem, ProblemText
 
+if TYPE_CHECKING:
+    from cantools.database.can import Database
+    from cantools.database.can import Message as DbcMessage
+    from cantools.database.can import Signal as DbcSignal
+
 #: The field of the bytes behind the declared ones.
 TRAILING = "trailing"
 #: The attribute of messages whose frames have several lengths (see `printers.dbc`): these, by blanks.
@@ -51,10 +56,10 @@ LENGTHS = "AcesLengths"
 SEARCHED = 12
 
 #: (message, signal or None) to the line it was declared on; 0 where unknown.
-Lines = Callable[[Any, Any], int]
+Lines = Callable[[DbcMessage, DbcSignal | None], int]
 
 
-def build(database: Any, name: str, path: str, lines: Lines) -> tuple[Protocol, list[ImportProblem]]:
+def build(database: Database, name: str, path: str, lines: Lines) -> tuple[Protocol, list[ImportProblem]]:
     """Return the protocol of a loaded database, and what could not be taken over."""
     return _Builder(database, name, path, lines).build()
 
@@ -70,7 +75,7 @@ class _LeftOut(Exception):
 class _Taken(msgspec.Struct):
     """A message that is taken over: where it was declared, and what is decided about it."""
 
-    message: Any
+    message: DbcMessage
     line: int
     name: str
     identifier: IdPattern
@@ -155,7 +160,7 @@ class _Builder:
                 )
         return [taken for taken in found if id(taken) not in own]
 
-    def _leave_out(self, message: Any, line: int, reason: str) -> None:
+    def _leave_out(self, message: DbcMessage, line: int, reason: str) -> None:
         self.problems.append(
             ImportProblem(line, f"message {ProblemText.clean(message.name)}: {reason}: left out")
         )
@@ -165,7 +170,7 @@ class _Builder:
 
     # ------------------------------------------------------------------ messages
 
-    def _taken(self, message: Any, line: int) -> _Taken:
+    def _taken(self, message: DbcMessage, line: int) -> _Taken:
         """Return what a message is called and of what kind its frames are."""
         if message.is_container:
             raise _LeftOut("a container of other messages")
@@ -250,13 +255,13 @@ class _Builder:
         made.place = SourceLine(self.path, taken.line or 1)
 
     def _layout(
-        self, message: Any, signals: Sequence[Any], size: int, most: int, taken: set[str]
+        self, message: DbcMessage, signals: Sequence[DbcSignal], size: int, most: int, taken: set[str]
     ) -> BitLayout:
         names: dict[str, str] = {}
         fields: list[c.Construct] = []
         masks = 0
         overlapping = False
-        by_name: dict[str, Any] = {}
+        by_name: dict[str, DbcSignal] = {}
         for signal in signals:
             by_name.setdefault(signal.name, signal)
         for signal in _selectors_first(signals, by_name):
@@ -313,7 +318,7 @@ class _Builder:
         return Multiplexed(names[selector.name], when, field)
 
 
-def _key(message: Any) -> tuple[int, bool, int, bool]:
+def _key(message: DbcMessage) -> tuple[int, bool, int, bool]:
     return message.frame_id, bool(message.is_extended_frame), message.length, bool(message.is_fd)
 
 
@@ -322,7 +327,7 @@ def _group(identifier: int) -> int:
     return identifier & (0x3FF_0000 if identifier >> 16 & 0xFF < 240 else 0x3FF_FF00)
 
 
-def _patterns_of(messages: Sequence[Any]) -> list[IdPattern]:
+def _patterns_of(messages: Sequence[DbcMessage]) -> list[IdPattern]:
     """Return the identifiers of the messages of one parameter group: alone any priority, source and destination."""
     identifiers = [message.frame_id for message in messages]
     group = _group(identifiers[0])
@@ -357,7 +362,7 @@ def _patterns_of(messages: Sequence[Any]) -> list[IdPattern]:
     return found
 
 
-def _shape(message: Any) -> tuple[Any, ...]:
+def _shape(message: DbcMessage) -> tuple[Any, ...]:
     """Return how a message is laid out: equal for messages that give the same values of the same bytes."""
     return message.length, *(
         (
@@ -369,7 +374,7 @@ def _shape(message: Any) -> tuple[Any, ...]:
     )
 
 
-def _doc_of(message: Any) -> str:
+def _doc_of(message: DbcMessage) -> str:
     facts = []
     senders = [str(sender) for sender in message.senders or () if sender]
     if senders:
@@ -388,17 +393,17 @@ def _doc_of(message: Any) -> str:
 # ---------------------------------------------------------------------- signals
 
 
-def _lengths_of(message: Any) -> list[int]:
+def _lengths_of(message: DbcMessage) -> list[int]:
     """Return the lengths that the attribute `LENGTHS` gives a message; none where it has none or none that can be read."""
     attributes = getattr(message.dbc, "attributes", None) or {}
     words = str(attributes[LENGTHS].value).split() if LENGTHS in attributes else []
     return sorted({int(word) for word in words if re.fullmatch(r"\d{1,2}", word, re.ASCII)})
 
 
-def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
+def _fitting(signals: Sequence[DbcSignal], size: int) -> list[DbcSignal]:
     """Return the signals of frames of `size` bytes: of those that a multiplexer value has, all or none."""
 
-    def fits(signal: Any) -> bool:
+    def fits(signal: DbcSignal) -> bool:
         try:
             _place(signal, size)
         except _LeftOut:
@@ -411,7 +416,7 @@ def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
         if signal.multiplexer_ids and not fits(signal)
         for value in signal.multiplexer_ids
     }
-    found: list[Any] = []
+    found: list[DbcSignal] = []
     for signal in signals:
         if not fits(signal):
             continue
@@ -441,7 +446,7 @@ def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list
     return list(done.values())
 
 
-def _place(signal: Any, size: int) -> int:
+def _place(signal: DbcSignal, size: int) -> int:
     """Return the number of the signal's first bit in its own bit order; raises where it ends past the message."""
     at, width = int(signal.start), int(signal.length)
     if signal.byte_order == "big_endian":
@@ -453,14 +458,14 @@ def _place(signal: Any, size: int) -> int:
     return at
 
 
-def _mask(signal: Any, at: int) -> int:
+def _mask(signal: DbcSignal, at: int) -> int:
     """Return the bits of a signal in the little-endian word of its message."""
     if signal.byte_order != "big_endian":
         return ((1 << int(signal.length)) - 1) << at
     return sum(1 << (position ^ 7) for position in range(at, at + signal.length))
 
 
-def _value(signal: Any, at: int) -> c.Construct:
+def _value(signal: DbcSignal, at: int) -> c.Construct:
     """Return the field of a signal: its bits, what they mean, and how."""
     conversion = signal.conversion
     order = "msb" if signal.byte_order == "big_endian" else "lsb"
@@ -492,7 +497,7 @@ def _value(signal: Any, at: int) -> c.Construct:
     return Quantity(place, unit=unit, scale=scale, offset=offset, range=span, names=choices)
 
 
-def _names(signal: Any) -> dict[str, int]:
+def _names(signal: DbcSignal) -> dict[str, int]:
     """Return the value table, without numbers that the signal cannot have; a name that is there twice gets its number."""
     low, high = _limits(signal)
     names: dict[str, int] = {}
@@ -503,12 +508,12 @@ def _names(signal: Any) -> dict[str, int]:
     return names
 
 
-def _limits(signal: Any) -> tuple[int, int]:
+def _limits(signal: DbcSignal) -> tuple[int, int]:
     low = -(1 << signal.length - 1) if signal.is_signed else 0
     return low, low + (1 << signal.length) - 1
 
 
-def _are_distinct(names: Mapping[str, int], signal: Any, scale: float, offset: float) -> bool:
+def _are_distinct(names: Mapping[str, int], signal: DbcSignal, scale: float, offset: float) -> bool:
     """Return whether each named number is, scaled, unlike its neighbours: then the scaled number shows whether it is
     named.
     """
@@ -520,7 +525,7 @@ def _are_distinct(names: Mapping[str, int], signal: Any, scale: float, offset: f
     return True
 
 
-def _range(signal: Any) -> tuple[float, float] | None:
+def _range(signal: DbcSignal) -> tuple[float, float] | None:
     low, high = signal.minimum, signal.maximum
     if low is None and high is None:
         return None
@@ -539,7 +544,7 @@ def _plain(number: Any) -> float:
     return number if isinstance(number, (int, float)) else float(number)
 
 
-def _raw_values(selector: Any, wanted: Any) -> frozenset[int]:
+def _raw_values(selector: DbcSignal, wanted: Any) -> frozenset[int]:
     """Return the raw values of a multiplexer that mean one of `wanted`.
 
     cantools compares the scaled number, cut off to a whole one, or the number of the name; factors are rare here.

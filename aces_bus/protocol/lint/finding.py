@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 from ..declare.place import SourceLine
+from ..record import PlainValue
 
 Level = Literal["error", "warning", "note"]
 _ALLOWED = re.compile(r"#\s*aces:\s*allow\s+(?P<rules>[\w, -]+)")
@@ -54,7 +55,7 @@ class Finding:
                 return True
         return False
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return it for JSON."""
         return {
             "file": self.place.file,

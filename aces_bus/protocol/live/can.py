@@ -441,7 +441,7 @@ class CanScanner:
             self._carrier_of[key] = found
         return found
 
-    def _carry(self, carrier: _Carrier, frame: Any, key: int, data: bytes, out: list[Record]) -> None:
+    def _carry(self, carrier: _Carrier, frame: AnyFrame, key: int, data: bytes, out: list[Record]) -> None:
         packets = carrier.reassembler.take(frame, self._number, key, data, frame.channel, frame.timestamp)
         for packet in packets:
             self._packet(carrier, packet, out)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator
 from typing import Any, NamedTuple
 
-from ...frames import AnyFrame
+from ...frames import AnyFrame, ChannelName
 from ..declare.transport import FramePart, Transport
 
 
@@ -202,7 +202,7 @@ class Reassembler:
         return out
 
     def _within(
-        self, key: int, data: bytes, channel: Any, time: float | None, out: list[Packet]
+        self, key: int, data: bytes, channel: ChannelName, time: float | None, out: list[Packet]
     ) -> FramePart | None:
         """Return what a frame is to an acknowledged packet that is under way."""
         for session in self.transport.conversations(key):

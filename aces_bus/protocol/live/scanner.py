@@ -124,7 +124,7 @@ def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
     return StreamScanner(variants, **more)
 
 
-def _guard(scanner: Any) -> None:
+def _guard(scanner: Scanner) -> None:
     """Have every call that moves the scanner on look whether another one is under way."""
     lock = Lock()
     under_way = ""

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 from aces_bus.robot.checks import near
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 #: The largest file that is read, and the largest numbers in it that canopen counts up to.
 LARGEST = 4 << 20
@@ -70,7 +73,7 @@ def read_dictionary(path: str | None, node: int, own: OwnFile) -> Any:
     return found
 
 
-def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
+def object_of(dictionary: ObjectDictionary, name: str | int) -> tuple[int, int, Any]:
     """Return index, subindex and canopen's variable (None where the file has none) of "6064", "0x6099:1" or
     an object's name.
 
@@ -96,7 +99,7 @@ def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
     return index, subindex, dictionary.get_variable(index, subindex)
 
 
-def _named(dictionary: Any) -> Mapping[str, Any]:
+def _named(dictionary: ObjectDictionary) -> Mapping[str, Any]:
     """Return variables by name in small letters; a record's members as "record.member", and by their own name."""
     found: dict[str, Any] = {}
     members: dict[str, Any] = {}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from aces_bus.device import Steps
 from aces_bus.errors import DeviceError
@@ -18,6 +18,8 @@ from aces_bus.errors import DeviceError
 from .sdo import SdoRefused
 
 if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+
     from .node import CanopenNode
 
 NOT_VALID = 1 << 31
@@ -81,7 +83,13 @@ def offset_of(index: int) -> int:
 
 
 def layout_of(
-    who: str, dictionary: Any, number: int, base: int, node: int, raw: dict[int, int], entries: list[int]
+    who: str,
+    dictionary: ObjectDictionary,
+    number: int,
+    base: int,
+    node: int,
+    raw: dict[int, int],
+    entries: list[int],
 ) -> PdoLayout | None:
     """Return a PDO from its communication parameters (`raw`: subindex → value) and mapping entries; None: it is
     switched off.
@@ -108,7 +116,7 @@ def layout_of(
     return made
 
 
-def _is_signed(dictionary: Any, index: int, subindex: int) -> bool:
+def _is_signed(dictionary: ObjectDictionary, index: int, subindex: int) -> bool:
     """Return whether an object is a signed number: as the file says; of objects that it does not have, as CiA 402 does."""
     from canopen.objectdictionary import SIGNED_TYPES
 
@@ -121,7 +129,11 @@ SIGNED = frozenset((0x6042, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x60
 
 
 def layouts(
-    who: str, dictionary: Any, node: int, side: tuple[int, int, int], value: Callable[[int, int], int | None]
+    who: str,
+    dictionary: ObjectDictionary,
+    node: int,
+    side: tuple[int, int, int],
+    value: Callable[[int, int], int | None],
 ) -> dict[int, PdoLayout]:
     """Return the PDOs of `side` (`RECEIVED` or `SENT`) that a device has, by number; `value` is an object's (None: not
     there).
@@ -142,7 +154,9 @@ def layouts(
     return found
 
 
-def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
+def from_file(
+    who: str, dictionary: ObjectDictionary, node: int, side: tuple[int, int, int]
+) -> dict[int, PdoLayout]:
     """Return the PDOs that a file says its device has."""
 
     def value(index: int, subindex: int) -> int | None:

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from aces_bus import Frame, as_dict, make_scanner
 from aces_bus.device import Twin
@@ -18,6 +18,9 @@ from aces_bus.runtime.clock import Timer
 
 from .pdo import RECEIVED, SENT, PdoEntry, PdoLayout, layouts
 from .watchdog import CONSUMER
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 #: From power to the boot-up message (ns).
 BOOT_NS = 1_000_000
@@ -62,7 +65,7 @@ class CanopenTwin(Twin):
 
     # ------------------------------------------------------------------ its node
 
-    def add_node(self, dictionary: Any) -> None:
+    def add_node(self, dictionary: ObjectDictionary) -> None:
         """Create the node as if just switched on; call this in `setup`. Its boot-up message follows."""
         import canopen
 

@@ -7,7 +7,7 @@ outputs of 16 bits, one a subindex.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -16,6 +16,9 @@ from aces_bus.errors import CallerError
 
 from ..canopen_node.dictionary import OwnFile, read_dictionary
 from ..canopen_node.settings import NodeSettings
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 Kind = Literal["digital_input", "digital_output", "analog_input", "analog_output"]
 #: Kind → its object, what a channel without a name is called, channels a subindex.
@@ -119,7 +122,7 @@ def module_dictionary(path: str | None, node: int) -> Any:
     return read_dictionary(path, node, OWN)
 
 
-def io_channels(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str, IoChannel]:
+def io_channels(who: str, settings: ModuleSettings, dictionary: ObjectDictionary) -> dict[str, IoChannel]:
     """Return all channels that a module's file has, by name. Raises `CallerError` for a name of one that it does not
     have.
     """
@@ -146,7 +149,7 @@ def io_channels(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str
     return found
 
 
-def _count(dictionary: Any, index: int) -> int:
+def _count(dictionary: ObjectDictionary, index: int) -> int:
     """Return how many subindices an array has."""
     entry = dictionary.get(index)
     if entry is None or hasattr(entry, "data_type"):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from construct import Byte, Bytes, Int16sl, Int16ul, Struct
+from construct import Byte, Bytes, Construct, Int16sl, Int16ul, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, Message, Quantity, Reserved, Split, Tuple, bits
 
@@ -28,7 +28,7 @@ def selectors(block: int) -> tuple[int, ...]:
 def _block(
     name: str,
     selector: Iterable[int],
-    payload: Any,
+    payload: Construct,
     doc: str,
     source: str = "hubo-ach",
     examples: Sequence[Any] = (),

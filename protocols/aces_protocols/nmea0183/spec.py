@@ -57,19 +57,19 @@ def _declare(line: bytes, doc: str, *fields: Construct, optional: int = 0, **val
     )
 
 
-def _number(name: str, unit: str = "", digits: int | None = None) -> Any:
+def _number(name: str, unit: str = "", digits: int | None = None) -> Construct:
     return name / AsciiNumber(unit=unit, digits=digits)
 
 
-def _integer(name: str, digits: int = 1) -> Any:
+def _integer(name: str, digits: int = 1) -> Construct:
     return name / AsciiInteger(digits=digits)
 
 
-def _mark(name: str) -> Any:
+def _mark(name: str) -> Construct:
     return name / AsciiText(doc="Always the same letter, or nothing.")
 
 
-def _letters(name: str, **names: str) -> Any:
+def _letters(name: str, **names: str) -> Construct:
     return name / AsciiEnumeration(names)
 
 

@@ -140,7 +140,7 @@ def _reads(name: str, command: int, page: int, doc: str, *fields: Construct, fra
     )
 
 
-def _number(name: str, body: Any, unit: str, scale: float = 1.0, **more: Any) -> Construct:
+def _number(name: str, body: Construct, unit: str, scale: float = 1.0, **more: Any) -> Construct:
     return name / Quantity(body, unit=unit, scale=scale, **more)
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import pi
 from typing import Any
 
-from construct import Byte, Const, Float32l, Int16sl, Int16ul, Int32ul, Int64ul, Struct
+from construct import Byte, Const, Construct, Float32l, Int16sl, Int16ul, Int32ul, Int64ul, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Protocol, Quantity, Reserved, bits
 from aces_protocols.mit_frame import span
@@ -66,7 +66,7 @@ Motor = IdField("motor", range(1, 0x80), doc="the motor's number, 0x7F from the 
 Host = IdField("host", (*range(0x80, ANYBODY), 0xFF), doc="who asks, and is answered; 0xFD by custom")
 
 
-def asks(kind: int, name: str, payload: Any, **more: Any) -> Any:
+def asks(kind: int, name: str, payload: Construct, **more: Any) -> Any:
     """Return a message to a motor: its type, who asks, the motor."""
     more.setdefault("source", CG)
     return robstride.message(

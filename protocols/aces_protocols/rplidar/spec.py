@@ -16,7 +16,18 @@ from typing import Any
 
 from construct import Byte, Bytes, Default, GreedyBytes, Int16ul, Int24ul, Int32ul, Struct, this
 
-from aces_bus.protocol import BitLayout, Check, Enumeration, Protocol, Quantity, Split, Tuple, Xor, bits
+from aces_bus.protocol import (
+    BitLayout,
+    Check,
+    Enumeration,
+    Message,
+    Protocol,
+    Quantity,
+    Split,
+    Tuple,
+    Xor,
+    bits,
+)
 
 #: Measurements in a packet of an express scan; bytes of its cabins, each of two (figure 4-12).
 EXPRESS, CABIN = 32, 5
@@ -72,7 +83,7 @@ _long = rplidar.framing(
 )
 
 
-def _request(name: str, command: int, figure: str, doc: str, examples: Any = ()) -> Any:
+def _request(name: str, command: int, figure: str, doc: str, examples: Any = ()) -> Message:
     return _short(
         name, match={"command": command}, direction="to device", doc=doc,
         source=f"figure {figure}", examples=examples,

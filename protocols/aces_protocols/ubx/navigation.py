@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from construct import Array, Byte, Int8sl, Int16sl, Int16ul, Int32sl, Int32ul, Rebuild, Struct, len_, this
+from construct import (
+    Array,
+    Byte,
+    Construct,
+    Int8sl,
+    Int16sl,
+    Int16ul,
+    Int32sl,
+    Int32ul,
+    Rebuild,
+    Struct,
+    len_,
+    this,
+)
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, bits
 
@@ -15,11 +26,11 @@ def _degrees(scale: float) -> Quantity:
     return Quantity(Int32sl, scale=scale, unit="°")
 
 
-def mm(field: Any = Int32sl) -> Quantity:
+def mm(field: Construct = Int32sl) -> Quantity:
     return Quantity(field, unit="mm")
 
 
-def mm_s(field: Any = Int32sl) -> Quantity:
+def mm_s(field: Construct = Int32sl) -> Quantity:
     return Quantity(field, unit="mm/s")
 
 

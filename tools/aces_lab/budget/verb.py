@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 from aces_bus.plain_text import printable
+from aces_bus.protocol.record import PlainValue
 from aces_tools.console import print_json, say, say_note
 from aces_tools.options import (
     JSON,
@@ -284,7 +285,7 @@ def _twice(bus: BusBudget) -> str:
 # ---------------------------------------------------------------------- as JSON
 
 
-def _object(found: RobotBudget) -> dict[str, Any]:
+def _object(found: RobotBudget) -> dict[str, PlainValue]:
     return {
         "robot": found.traffic.robot,
         "rate_hz": found.traffic.rate_hz,
@@ -309,7 +310,7 @@ def _object(found: RobotBudget) -> dict[str, Any]:
     }
 
 
-def _message_object(message: MessageBudget) -> Mapping[str, Any]:
+def _message_object(message: MessageBudget) -> Mapping[str, PlainValue]:
     sent = message.sent
     return {
         "name": sent.name,

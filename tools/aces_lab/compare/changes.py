@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from aces_bus._lazy import np
 from aces_bus.frame_table import Ints
+from aces_bus.protocol.record import PlainValue
 from aces_tools.reading.traffic import ArrivalCount, BusIdentifier, GapCounts
 
 from .exposure import Exposure
@@ -111,7 +112,11 @@ class TrafficChange:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the change for JSON; scores have three decimals."""
-        out: dict[str, Any] = {"score": round(self.score, 3), "kind": self.kind, "subject": self.subject}
+        out: dict[str, PlainValue] = {
+            "score": round(self.score, 3),
+            "kind": self.kind,
+            "subject": self.subject,
+        }
         if self.identifier is not None:
             out |= {
                 "channel": self.identifier.channel,

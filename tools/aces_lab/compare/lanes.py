@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from aces_tools.reading.traffic import identifier_groups
 from . import RecordingComparison, TrafficChange
 from .comparer import ComparedSide
 from .signal_lanes import Arrivals, LaneSignals, SignalLane, arrival_rates, is_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Lanes in a picture.
 MOST_LANES = 48
@@ -303,7 +306,7 @@ class LanePicture:
         )
 
 
-def _shade_lane(ax: Any, top: float, shown: Shades, low: float, high: float) -> None:
+def _shade_lane(ax: Axes, top: float, shown: Shades, low: float, high: float) -> None:
     import matplotlib.colors as colours
     from matplotlib.patches import Rectangle
 
@@ -321,7 +324,7 @@ def _shade_lane(ax: Any, top: float, shown: Shades, low: float, high: float) -> 
     drawn.set_clip_path(clip.get_path(), clip.get_transform())  # beside the box of the axes, not in its place
 
 
-def _write_levels(ax: Any, lanes: Sequence[Lane]) -> None:
+def _write_levels(ax: Axes, lanes: Sequence[Lane]) -> None:
     """Say left of the first part what the levels of signals are."""
     for lane in lanes:
         for at, text in lane.ticks:
@@ -339,7 +342,7 @@ def _write_levels(ax: Any, lanes: Sequence[Lane]) -> None:
             )
 
 
-def _shade_times(ax: Any, part: LanePart, side: ComparedSide) -> None:
+def _shade_times(ax: Axes, part: LanePart, side: ComparedSide) -> None:
     """Show the times of a side, where it is not the whole recording."""
     low, high = part.span
     for window in side.windows:

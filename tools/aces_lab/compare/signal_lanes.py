@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from aces_tools.plotting.series import Array, Collector, Key, Series, TimeAxis, 
 from aces_tools.reading.traffic import BusIdentifier
 
 from .signals import DeviceMessage
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Signals that are kept, and the points that each may hold: 256 KB.
 MOST_SIGNALS, ROOM = 1024, 1 << 14
@@ -141,7 +144,7 @@ class SignalLane:
         free = (FREE + LEVEL) / 2 if self.names else FREE / 2 if self.is_flag else FREE
         return top + free + (self.high - value) / (self.high - self.low) * (height - 2 * free)
 
-    def draw(self, ax: Any, series: Series, top: float, height: float) -> None:
+    def draw(self, ax: Axes, series: Series, top: float, height: float) -> None:
         """Draw the values of one part into its lane."""
         x, y = series.points()
         x, y = broken(x, y, longest_period(x))

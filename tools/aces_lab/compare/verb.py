@@ -27,6 +27,7 @@ from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import Array, MessageTable
+from aces_bus.protocol.record import PlainValue
 from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.filters import parse_filter
 from aces_tools.console import (
@@ -332,7 +333,7 @@ class Comparing:
     def _first_mark(self) -> str:
         return read_marks(self.arguments.marks)[0].name
 
-    def _as_dict(self, found: RecordingComparison) -> dict[str, Any]:
+    def _as_dict(self, found: RecordingComparison) -> dict[str, PlainValue]:
         sides = {
             name: {
                 "what": words,

@@ -52,6 +52,7 @@ from aces_bus.protocol.exchange.import_build import TRAILING
 from aces_bus.protocol.exchange.import_dbc import protocol_name, read_text
 from aces_bus.protocol.exchange.names import PythonNames
 from aces_bus.protocol.exchange.problems import ImportedProtocol, ImportProblem, ProblemText
+from aces_bus.protocol.record import FieldValue, PlainValue
 
 from .canboat_lists import GroupParameters, KeyedItems, Parameter, camel, field_types
 
@@ -195,7 +196,7 @@ class _Form:
 
 class _Builder:
     def __init__(
-        self, path: str, table: Mapping[str, Any], pgns: Sequence[Any], lines: Sequence[int]
+        self, path: str, table: Mapping[str, PlainValue], pgns: Sequence[Any], lines: Sequence[int]
     ) -> None:
         self.path, self.pgns = path, pgns
         self.lines = lines if len(lines) == len(pgns) else [0] * len(pgns)
@@ -745,11 +746,11 @@ def _tables(table: Mapping[str, Any], key: str, values: str, number: str) -> dic
     return found
 
 
-def _whole(value: Any) -> int | None:
+def _whole(value: FieldValue) -> int | None:
     return value if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 64 else None
 
 
-def _factor(value: Any, usual: float) -> float:
+def _factor(value: FieldValue, usual: float) -> float:
     """Return a resolution or an offset, an integer where it is whole."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return usual

@@ -18,6 +18,7 @@ import construct as c
 
 from aces_bus.errors import FieldError
 from aces_bus.protocol import ItemList
+from aces_bus.protocol.record import FieldValue, PlainValue
 
 #: The reason of an item whose key or parameter is not known.
 UNKNOWN = "unknown"
@@ -151,7 +152,7 @@ class GroupParameters(ItemList):
         return obj
 
 
-def _built(construct: c.Construct, value: Any, context: c.Container, path: str) -> bytes:
+def _built(construct: c.Construct, value: FieldValue, context: c.Container, path: str) -> bytes:
     content = io.BytesIO()
     try:
         construct._build(value, content, context, path)
@@ -170,7 +171,7 @@ def camel(text: str) -> str:
     return made if made[:1].isalpha() else f"key{made}"
 
 
-def field_types(table: Mapping[str, Any]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def field_types(table: Mapping[str, Any]) -> Iterator[tuple[str, list[dict[str, PlainValue]]]]:
     """Yield the tables of what each key of a list has as its value: name, and entries that are like fields."""
     for listed in table.get("LookupFieldTypeEnumerations") or ():
         entries = listed.get("EnumFieldTypeValues") if isinstance(listed, dict) else None

@@ -21,6 +21,7 @@ from aces_bus.protocol import Message, Record, Variant
 from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.nodes import NodePath
+from aces_bus.protocol.record import FieldValue
 from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_values, image_frame
 from aces_bus.testing.scenes import Cast, Damage
 from aces_bus.testing.source import ChoiceSource
@@ -231,7 +232,9 @@ class DevicePackets:
 
     def valid(self, message: Message, source: ChoiceSource) -> DrawnPacket | None:
         """Return a valid packet of a message with the device's credentials."""
-        fixed: dict[str, Any] = {n: v for n, v in self.rules.credentials.items() if n in message.fields}
+        fixed: dict[str, FieldValue] = {
+            n: v for n, v in self.rules.credentials.items() if n in message.fields
+        }
         try:
             values = draw_values(message, source, fixed)
             return DrawnPacket(message, values, bytes(message.struct.build(values, raw=True)))

@@ -9,6 +9,7 @@ from aces_bus.protocol import Crc, Transport
 from aces_bus.protocol.declare.bits import runs_of, whole_bits
 from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
+from aces_bus.protocol.record import PlainValue
 
 
 def bit_pieces(bits: Sequence[int]) -> list[list[int]]:
@@ -22,7 +23,7 @@ def bit_pieces(bits: Sequence[int]) -> list[list[int]]:
     return found
 
 
-def id_pattern(pattern: IdPattern) -> dict[str, Any]:
+def id_pattern(pattern: IdPattern) -> dict[str, PlainValue]:
     return {
         "constant": pattern.constant,
         "parts": [
@@ -48,7 +49,7 @@ def value_set(values: Collection[int]) -> dict[Any, Any]:
     return dict.fromkeys(listed, True)
 
 
-def crc_table(crc: Crc) -> dict[str, Any]:
+def crc_table(crc: Crc) -> dict[str, PlainValue]:
     """Return the parameters of a CRC by their names."""
     return dict(zip(("width", "poly", "init", "refin", "refout", "xorout"), crc.parameters, strict=True))
 
@@ -101,7 +102,7 @@ def transport_table(transport: Transport, number: int) -> dict[str, Any]:
     return table
 
 
-def _kind(kind: FrameKind) -> dict[str, Any]:
+def _kind(kind: FrameKind) -> dict[str, PlainValue]:
     return {
         "role": kind.role,
         "name": kind.name,
@@ -118,7 +119,7 @@ def _kind(kind: FrameKind) -> dict[str, Any]:
     }
 
 
-def _number(bits: FrameNumber | None) -> dict[str, Any] | None:
+def _number(bits: FrameNumber | None) -> dict[str, PlainValue] | None:
     if bits is None:
         return None
     return {

@@ -25,6 +25,7 @@ from typing import Any, Literal
 import msgspec
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol.record import PlainValue
 from aces_bus.recordings.base import Link
 from aces_bus.version import __version__
 from aces_tools.reading.totals import Totals
@@ -260,7 +261,7 @@ def _closed(entry: FleetInput) -> dict[str, str]:
     return {name: msgspec.json.encode(getattr(entry, name)).decode() for name in _MAPS}
 
 
-def _opened(row: dict[str, Any]) -> dict[str, Any]:
+def _opened(row: dict[str, Any]) -> dict[str, PlainValue]:
     return {name: msgspec.json.decode(row[name], type=dict[str, int]) for name in _MAPS}
 
 

@@ -37,8 +37,10 @@ from aces_bus.loopback import is_loopback
 from aces_bus.protocol import CanScanner, Record, Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.protocol.declare.message import GivenWay
+from aces_bus.protocol.record import PlainValue
 from aces_bus.runtime import RealClock
 from aces_bus.runtime.clock import Clock
+from aces_bus.state.quantity import TimeSeries
 from aces_lab.tables.topics import STATES_TOPIC, TableTopics, states_schema
 
 from .origins import OriginGate, hidden_host
@@ -63,7 +65,7 @@ _TIME = {
 }
 
 
-def _object(title: str, **properties: Any) -> dict[str, Any]:
+def _object(title: str, **properties: Any) -> dict[str, PlainValue]:
     return {"type": "object", "title": title, "properties": properties}
 
 
@@ -409,7 +411,7 @@ class _Messages:
                 self._view.send(self.channel, instant, self._encode(make(instant, *arguments)))
 
 
-def _log_line(instant: int, level: str, name: str, message: str) -> dict[str, Any]:
+def _log_line(instant: int, level: str, name: str, message: str) -> dict[str, PlainValue]:
     return {
         "timestamp": _time(instant),
         "level": LEVELS.get(level, 0),
@@ -420,7 +422,7 @@ def _log_line(instant: int, level: str, name: str, message: str) -> dict[str, An
     }
 
 
-def _event(instant: int, kind: str, source: str, detail: str, level: str) -> dict[str, Any]:
+def _event(instant: int, kind: str, source: str, detail: str, level: str) -> dict[str, PlainValue]:
     return {"kind": kind, "source": source, "detail": detail, "level": level}
 
 
@@ -520,7 +522,7 @@ def _number(read: Callable[[], Any]) -> float | None:
     return value if -math.inf < value < math.inf else None
 
 
-def _usual(rig: Any, states: Mapping[str, Any]) -> Iterable[str]:
+def _usual(rig: Any, states: Mapping[str, TimeSeries]) -> Iterable[str]:
     """Return joints with their set-points, and what sensors measure, of devices that are there."""
     for joint in rig.robot.joints.values():
         if joint.active and joint.device in rig.devices and joint.name in states:
@@ -533,7 +535,7 @@ def _usual(rig: Any, states: Mapping[str, Any]) -> Iterable[str]:
             yield name
 
 
-def _transforms(links: Links, angles: Mapping[str, float], instant: int) -> dict[str, Any]:
+def _transforms(links: Links, angles: Mapping[str, float], instant: int) -> dict[str, PlainValue]:
     time = _time(instant)
     return {
         "transforms": [

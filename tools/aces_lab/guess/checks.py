@@ -24,6 +24,7 @@ import numpy as np
 from aces_bus.protocol import Check, Crc, DataIds, Fletcher, IdBytes, Sum, Xor
 from aces_bus.protocol.columns.table import Array
 from aces_bus.protocol.declare.checks import Covered, Order
+from aces_bus.protocol.record import PlainValue
 
 from .check_evidence import entropy_bits, independent_rows, stored_numbers, sum_bits
 from .crc_families import CrcFamily, CrcModel, bytes_giving, crc_families, stacked_tables
@@ -507,7 +508,9 @@ def _orders(size: int) -> tuple[Order, ...]:
     return ("little", "big") if size > 1 else ("little",)
 
 
-def _sum_of(kind: str, order: Order, size: int, constant: int) -> tuple[str, dict[str, Any], bytes] | None:
+def _sum_of(
+    kind: str, order: Order, size: int, constant: int
+) -> tuple[str, dict[str, PlainValue], bytes] | None:
     """Return (class, its arguments, constant bytes that are covered as well) of a sum that leaves a constant;
     None: no class.
     """
@@ -516,7 +519,7 @@ def _sum_of(kind: str, order: Order, size: int, constant: int) -> tuple[str, dic
     if kind == "xor":
         return "Xor", {}, bytes([constant]) if constant else b""
     top = (1 << 8 * size) - 1
-    wide: dict[str, Any] = {"size": size, "order": order} if size > 1 else {}
+    wide: dict[str, PlainValue] = {"size": size, "order": order} if size > 1 else {}
     if kind == "negated" and constant == top:
         return "InvertedSum", wide, b""
     short = -constant & top if kind == "negated" else constant

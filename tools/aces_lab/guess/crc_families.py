@@ -7,13 +7,14 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from aces_bus.protocol import Crc
 from aces_bus.protocol.columns.checks import CrcColumns
 from aces_bus.protocol.columns.table import Array
+from aces_bus.protocol.record import PlainValue
 
 #: CRCs that are named first where bytes of several of the same polynomial fit as well (AUTOSAR's libraries, SAE J1850).
 USUAL = frozenset({"CRC8-SAE-J1850", "CRC8-AUTOSAR", "CRC16-IBM-3740", "CRC32-ISO-HDLC"})
@@ -72,7 +73,7 @@ class CrcFamily:
             known = self._constants[init] = np.concatenate(out).astype(np.uint32)
         return known
 
-    def arguments(self, model: CrcModel, constant: int) -> dict[str, Any]:
+    def arguments(self, model: CrcModel, constant: int) -> dict[str, PlainValue]:
         """Return what `Crc` takes: the model's name, or the parameters with what is left as the final value."""
         if model.name:
             return {"name": model.name}

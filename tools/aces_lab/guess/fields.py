@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from aces_bus._lazy import np
+from aces_bus.protocol.record import PlainValue
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -99,9 +100,9 @@ class FieldGuess:
         """The first byte of the payload that it is in."""
         return min(self.positions[0], self.positions[-1]) // 8
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
-        found: dict[str, Any] = {
+        found: dict[str, PlainValue] = {
             "start": self.start,
             "length": self.length,
             "order": self.order,

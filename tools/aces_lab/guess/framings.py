@@ -20,6 +20,7 @@ from aces_bus.protocol.columns.table import Array
 from aces_bus.protocol.declare.checks import Order
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.stuffing import Stuffing
+from aces_bus.protocol.record import PlainValue
 
 from .checks import CheckGuess, check_source, checks_of_packets
 from .sample import Span
@@ -145,9 +146,9 @@ class FramingGuess:
             return f"Insert({self.stuffing.pattern!r}, {self.stuffing.byte!r})"
         return f"{type(self.stuffing).__name__}()"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
-        found: dict[str, Any] = {"kind": self.kind, "confidence": round(self.confidence, 2)}
+        found: dict[str, PlainValue] = {"kind": self.kind, "confidence": round(self.confidence, 2)}
         if self.sync:
             found["sync"] = self.sync.hex(" ").upper()
         if self.length is not None:

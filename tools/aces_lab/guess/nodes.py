@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import rows_at
 from aces_bus.frames import EXTENDED
+from aces_bus.protocol.record import PlainValue
 
 from .fields import Array
 
@@ -37,7 +38,7 @@ class NodeGuess:
     confidence: float
     evidence: str
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
         return {
             "name": self.name,

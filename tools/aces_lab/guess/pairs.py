@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import NO_TIME
 from aces_bus.frames import EXTENDED, REMOTE
+from aces_bus.protocol.record import PlainValue
 
 from .fields import Array
 
@@ -38,7 +38,7 @@ class PairGuess:
     confidence: float
     evidence: str
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
         return {
             "request": self.request & 0x1FFF_FFFF,

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frames import EXTENDED, FD, REMOTE
+from aces_bus.protocol.record import PlainValue
 
 from .carried import CarriedGuess, cyphal_packets, j1939_packets
 from .fields import Array
@@ -46,7 +46,7 @@ class ProtocolGuess:
     #: Packets under other identifiers than those of their frames.
     packets: tuple[CarriedGuess, ...] = ()
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
         return {
             "name": self.name,

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol.record import PlainValue
 
 from .boundaries import FOR, bits_in, edge_scores
 from .fields import Array, ByteOrder, FieldGuess, Measured, Rows, above
@@ -100,7 +101,7 @@ class ReferenceGuess:
         """True if the field explains enough of the quantity to be it."""
         return self.explained >= FOUND
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds; `message` is the kind of messages in words."""
         names = ("scale", "scale_error", "offset", "delay_s", "explained", "residual", "messages")
         bits = {name: getattr(self.field, name) for name in ("start", "length", "order", "signed")}
@@ -126,7 +127,7 @@ class ReferenceGuesses:
         found = self.found
         return () if found is None or found.key not in keys else (found.field,)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return it in JSON's kinds."""
         return {
             "name": self.quantity.name,

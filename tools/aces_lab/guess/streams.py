@@ -13,11 +13,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from aces_bus.protocol.columns.table import Array
+from aces_bus.protocol.record import PlainValue
 from aces_tools.reading.fitting import TRIED_BYTES, FittingProtocol, fitting_protocols
 
 from .fields import FieldGuess, fields_of
@@ -61,7 +61,7 @@ class PacketGuess:
         """The bytes that all of them have."""
         return self.sizes[0]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
         return {
             "framing": self.framing,
@@ -87,7 +87,7 @@ class StreamGuess:
     known: tuple[FittingProtocol, ...] = ()
     reference: ReferenceGuesses | None = None
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return the guess in JSON's kinds."""
         return {
             "link": "serial",

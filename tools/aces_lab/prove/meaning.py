@@ -461,7 +461,13 @@ def head_value(head: Head, data: Any) -> Any:
 
 
 def meaning(
-    message: Message, data: Any, captures: Mapping[str, Any], *, raw: bool, key: Any = 0, request: Any = None
+    message: Message,
+    data: Any,
+    captures: Mapping[str, Any],
+    *,
+    raw: bool,
+    key: Any = 0,
+    request: Any = None,
 ) -> dict[str, Any] | None:
     """Return the fields that a message has in these bytes, by name; None when they are not this message.
 

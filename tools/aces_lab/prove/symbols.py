@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 import z3
 import z3.z3util
@@ -171,6 +171,10 @@ class SymbolicBool:
         return SymbolicBool(z3.Not(self.term))
 
 
+#: What operators of symbolic numbers take.
+Number: TypeAlias = "int | float | SymbolicInt | SymbolicReal"
+
+
 def _refuse(what: str) -> Callable[..., NoReturn]:
     def refuse(self: Any, *arguments: Any) -> NoReturn:
         raise NotProvable(f"{what} of a symbolic {type(self).__name__.removeprefix('Symbolic').lower()}")
@@ -258,22 +262,22 @@ class SymbolicInt:
         width = max(self.width, number.width) + more
         return SymbolicInt(z3.simplify(operate(self.wide(width), number.wide(width))))
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: Number) -> Any:
         if isinstance(other, float):
             return SymbolicReal(self) + other
         return self._with(other, 1, lambda a, b: a + b)
 
     __radd__ = __add__
 
-    def __sub__(self, other: Any) -> Any:
+    def __sub__(self, other: Number) -> Any:
         if isinstance(other, float):
             return SymbolicReal(self) - other
         return self._with(other, 1, lambda a, b: a - b)
 
-    def __rsub__(self, other: Any) -> Any:
+    def __rsub__(self, other: Number) -> Any:
         return self._with(other, 1, lambda a, b: b - a)
 
-    def __mul__(self, other: Any) -> Any:
+    def __mul__(self, other: Number) -> Any:
         if isinstance(other, float):
             return SymbolicReal(self) * other
         number = SymbolicInt.of(other)
@@ -283,7 +287,7 @@ class SymbolicInt:
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Any:
+    def __truediv__(self, other: Number) -> Any:
         return SymbolicReal(self) / other
 
     def over(self, divisor: int) -> SymbolicInt:
@@ -301,7 +305,7 @@ class SymbolicInt:
     def __invert__(self) -> SymbolicInt:
         return SymbolicInt(~self.term)
 
-    def __and__(self, other: Any) -> Any:
+    def __and__(self, other: Number) -> Any:
         if type(other) is int and other >= 0:  # a mask: as many bits as it has
             width = other.bit_length()
             if width == 0:
@@ -312,28 +316,28 @@ class SymbolicInt:
 
     __rand__ = __and__
 
-    def __or__(self, other: Any) -> Any:
+    def __or__(self, other: Number) -> Any:
         return self._with(other, 0, lambda a, b: a | b)
 
     __ror__ = __or__
 
-    def __xor__(self, other: Any) -> Any:
+    def __xor__(self, other: Number) -> Any:
         return self._with(other, 0, lambda a, b: a ^ b)
 
     __rxor__ = __xor__
 
-    def __lshift__(self, other: Any) -> Any:
+    def __lshift__(self, other: Number) -> Any:
         if type(other) is not int:
             raise NotProvable("a shift by a symbolic number")
         return SymbolicInt(z3.Concat(self.term, z3.BitVecVal(0, other))) if other else self
 
-    def __rshift__(self, other: Any) -> Any:
+    def __rshift__(self, other: Number) -> Any:
         if type(other) is not int:
             raise NotProvable("a shift by a symbolic number")
         top = self.width - 1
         return SymbolicInt(z3.simplify(z3.Extract(top, min(other, top), self.term)))
 
-    def __mod__(self, other: Any) -> Any:
+    def __mod__(self, other: Number) -> Any:
         if type(other) is int and other > 0 and not other & (other - 1):
             return self & (other - 1)
         raise NotProvable("a remainder of a symbolic number")
@@ -607,16 +611,16 @@ class SymbolicReal:
             operation, number = "+", -number  # the same float, always
         return SymbolicReal(self.base, (*self.steps, (operation, number)))
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: Number) -> Any:
         return self._then("+", other)
 
-    def __sub__(self, other: Any) -> Any:
+    def __sub__(self, other: Number) -> Any:
         return self._then("-", other)
 
-    def __mul__(self, other: Any) -> Any:
+    def __mul__(self, other: Number) -> Any:
         return self._then("*", other)
 
-    def __truediv__(self, other: Any) -> Any:
+    def __truediv__(self, other: Number) -> Any:
         return self._then("/", other)
 
     __radd__, __rmul__ = __add__, __mul__

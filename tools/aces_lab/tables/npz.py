@@ -29,6 +29,7 @@ from aces_bus.export.files import FilePool
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.arrow import field_metadata, json_text, schema_metadata
 from aces_bus.protocol.columns.layout import Block, DatasetColumn
+from aces_bus.protocol.record import FieldValue
 
 COPY = 1 << 20
 
@@ -155,7 +156,7 @@ def _member(name: str) -> zipfile.ZipInfo:
     return zipfile.ZipInfo(f"{name}.npy")  # dated 1980: the same values give the same file
 
 
-def _encoded(value: Any) -> bytes:
+def _encoded(value: FieldValue) -> bytes:
     return b"" if value is None else value if isinstance(value, bytes) else str(value).encode()
 
 

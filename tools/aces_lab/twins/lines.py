@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from aces_bus import Frame
 from aces_bus.device.config import Bus
@@ -32,6 +32,7 @@ from aces_bus.hardware.simulated.backend import AcesBus
 from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.hardware.simulated.serial_line import PtyPort, SimulatedSerialLine
 from aces_bus.protocol import Protocol
+from aces_bus.protocol.record import PlainValue
 from aces_bus.robot.buses import wire_of
 from aces_bus.runtime import VirtualClock
 from aces_bus.runtime.loop import Loop
@@ -47,7 +48,7 @@ class Line:
     of pyserial: the one of them that the bus does not have is empty.
     """
 
-    keywords: Mapping[str, Any] = {}
+    keywords: Mapping[str, PlainValue] = {}
     channel = ""
     path = ""
     #: The speed of a serial line (bit/s).

@@ -19,6 +19,7 @@ from aces_bus.device.twin import Twins, with_data
 from aces_bus.errors import AcesError
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.protocol import Record, Variant
+from aces_bus.protocol.record import FieldValue, PlainValue
 
 #: What comes so long behind a request (ns) is not an answer to it.
 ASKED_NS = 50_000_000
@@ -156,7 +157,7 @@ class Answers:
         record = self.record(packet)
         if record is None:
             return None
-        changed: dict[str, Any] = {}
+        changed: dict[str, PlainValue] = {}
         for name, value in as_dict(record).items():
             if name in self._credentials or name in self._addresses:
                 continue
@@ -185,7 +186,7 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name != "reserved"}
 
 
-def _others(value: Any) -> list[Any]:
+def _others(value: FieldValue) -> list[Any]:
     """Return values that are not this one, the likeliest to fit first."""
     if isinstance(value, bool):
         return [not value]

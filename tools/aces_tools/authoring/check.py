@@ -63,6 +63,7 @@ from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.fields import Written
 from aces_bus.protocol.lint.finding import Finding
 from aces_bus.protocol.lint.templates import check_wire
+from aces_bus.protocol.record import PlainValue
 from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.tracebacks import exception_text, innermost_line
 
@@ -399,7 +400,7 @@ def _suggest(names: Sequence[str], arguments: argparse.Namespace) -> int:
 
 
 def _print_results(results: Sequence[Checked]) -> None:
-    found: list[dict[str, Any]] = []
+    found: list[dict[str, PlainValue]] = []
     for result in results:
         levels = [finding.level for finding in result.findings]
         found.append(

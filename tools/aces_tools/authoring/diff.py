@@ -17,6 +17,7 @@ from aces_bus.protocol.declare.fields import wire_number
 from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.lint.fields import Written, payload_fields
 from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.protocol.record import PlainValue
 
 #: Columns of a field's line that are compared, and what each is called.
 COMPARED = ("place", "type", "unit", "scale", "offset", "range", "names")
@@ -59,7 +60,7 @@ class Difference:
     def is_none(self) -> bool:
         return not (self.removed or self.added or self.changed)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, PlainValue]:
         """Return it for JSON."""
         return {
             "removed": self.removed,

@@ -25,11 +25,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol.explain.attempt import Attempt
-from aces_bus.protocol.record import plain_value
+from aces_bus.protocol.record import PlainValue, plain_value
 
 from ..console import check_suffix, print_json, say, write_text
 from ..options import COLOR, COUNT, DIRECTION, JSON, Arguments, argument, at_least
@@ -109,9 +108,9 @@ def _print(groups: Sequence[tuple[str, Sequence[Attempt]]], arguments: argparse.
             page.lines(attempt_lines(attempt, width, paint))
 
 
-def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
+def _as_dict(attempt: Attempt, label: str) -> dict[str, PlainValue]:
     found = attempt.found
-    shown: dict[str, Any] = {
+    shown: dict[str, PlainValue] = {
         "direction": label or None,
         "frame" if attempt.is_can else "offset": attempt.start,
         "size": None if attempt.is_can else found.size * attempt.run,

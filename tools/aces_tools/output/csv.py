@@ -26,7 +26,7 @@ from aces_bus.plain_text import cell_text
 from aces_bus.protocol import FlagSet, Record
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.record import protocol_name_of
+from aces_bus.protocol.record import FieldValue, protocol_name_of
 from aces_bus.protocol.record_plans import message_of
 
 from .printing import HEADS, LinePrinter, Read, decimal, has_few_values
@@ -138,7 +138,7 @@ def _cells(cells: Sequence[Any]) -> bytes:
     return f"{','.join(map(_written, cells))},".encode("utf-8", "replace")
 
 
-def _written(value: Any) -> str:
+def _written(value: FieldValue) -> str:
     """Return a cell as it is written (RFC 4180). The csv module leaves a lone carriage return without quotes."""
     if value is None:
         return ""
@@ -197,7 +197,7 @@ def cell_of(node: p.Node) -> Callable[[Any], bytes]:
     return lambda value: _written(cell(value, plain)).encode("utf-8", "replace")
 
 
-def cell(value: Any, plain: Callable[[Any], Any] = json_value) -> Any:
+def cell(value: FieldValue, plain: Callable[[Any], Any] = json_value) -> Any:
     """Return a value as one cell."""
     match value:
         case None | str() | float():

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from aces_bus.protocol import FlagSet, Record
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import FieldValue
 
 from .printing import KEPT, LinePrinter, Read, has_few_values
 from .shape import RecordLeaf, nameless_number, record_leaves
@@ -164,7 +165,7 @@ class Padded(dict[Any, str]):
         super().__init__()
         self._token, self._most = token, 0
 
-    def __missing__(self, value: Any) -> str:
+    def __missing__(self, value: FieldValue) -> str:
         text = self._token(value)
         if len(text) > self._most:
             self.clear()

@@ -15,7 +15,7 @@ import msgspec
 
 from aces_bus.protocol import FlagSet
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.record import WayStep
+from aces_bus.protocol.record import FieldValue, WayStep
 from aces_bus.protocol.record import getter as getter
 from aces_bus.protocol.record_plans import OfKind as OfKind
 from aces_bus.protocol.record_plans import Plans as Plans
@@ -33,7 +33,7 @@ def flag_names(flags: Any) -> list[str]:
     return [*names, f"{flags.unknown:#x}"] if flags.unknown else names
 
 
-def json_value(value: Any) -> Any:
+def json_value(value: FieldValue) -> Any:
     """Return any value as JSON has it: NaN, infinities and the unknown are null, flags a list of names, bytes
     hexadecimal.
     """
@@ -71,7 +71,7 @@ def json_value(value: Any) -> Any:
 json_bytes: Callable[[Any], bytes] = msgspec.json.Encoder(enc_hook=json_value).encode
 
 
-def json_string(value: Any) -> str:
+def json_string(value: FieldValue) -> str:
     """Return the same as text."""
     return json_bytes(value).decode()
 

@@ -13,6 +13,7 @@ from typing import Any
 from aces_bus.plain_text import printable
 from aces_bus.protocol import FlagSet
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import FieldValue
 
 from .shape import flag_names, getter, json_value, nameless_number
 
@@ -66,7 +67,7 @@ class _Texts:
         return _show_items({name: (inner.shaped(self), unit_mark(inner)) for name, inner in nodes.items()})
 
 
-def _or_unknown(shown: Show, value: Any) -> str:
+def _or_unknown(shown: Show, value: FieldValue) -> str:
     return "unknown" if value is None else shown(value)
 
 
@@ -85,7 +86,7 @@ def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = 
     return lambda items: f"[{', '.join(map(one, items))}]"
 
 
-def _with_units(value: Any, units: Mapping[str, str], path: str = "") -> str:
+def _with_units(value: FieldValue, units: Mapping[str, str], path: str = "") -> str:
     """Return values of no fixed shape, numbers with their units: by the path of names."""
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(_with_units(item, units, path) for item in value)}]"
@@ -144,7 +145,7 @@ def shell_quoted(text: str) -> str:
     return f'"{printable(text)}"'
 
 
-def anything(value: Any) -> str:
+def anything(value: FieldValue) -> str:
     """Return a value of no fixed shape."""
     match value:
         case None:

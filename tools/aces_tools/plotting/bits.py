@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from ..output.text import can_write, printable
 from .bit_image import BitImage, BitImages
 from .figure import DPI, TALLEST, WIDTH, styled, write_figure
 from .series import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: From no flip to one in each frame. Seldom flips are to be seen: the scale goes by the square root.
 SHADES = ("#E9E9E9", "#9CCBE8", "#3B8FCB", "#0B4F8A", "#04213D")
@@ -156,7 +159,7 @@ def _height(image: BitImage, bit: float) -> float:
     return min(max(0.24, bit * 8 * image.length), HIGHEST if bit == LARGE_ROW else HIGHEST / 2)
 
 
-def _bit_ticks(ax: Any, length: int) -> None:
+def _bit_ticks(ax: Axes, length: int) -> None:
     """Put each bit's number on the right of an image that is alone."""
     if length <= 8:
         right = ax.secondary_yaxis("right")

@@ -14,7 +14,7 @@ import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from aces_bus.export.files import Staging, telling
 
 from .picture import Picture, PlotLine, PlotPanel, lone, steps, values_range
 from .series import thin
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5F5F5F")
 DASHES = ("-", "--", "-.", ":")
@@ -196,7 +199,7 @@ def _places(picture: Picture, x: Any) -> Any:
     return (picture.clock.origin + np.round(x * 1e9).astype(np.int64)).astype("datetime64[ns]")
 
 
-def _lines(picture: Picture, panel: PlotPanel, ax: Any) -> None:
+def _lines(picture: Picture, panel: PlotPanel, ax: Axes) -> None:
     number = 0
     handles: list[Any] = []
     labels: list[str] = []
@@ -243,7 +246,7 @@ def _lines(picture: Picture, panel: PlotPanel, ax: Any) -> None:
             text.set_text(label)
 
 
-def _line(picture: Picture, panel: PlotPanel, line: PlotLine, ax: Any, number: int) -> Any:
+def _line(picture: Picture, panel: PlotPanel, line: PlotLine, ax: Axes, number: int) -> Any:
     shape = line.format
     colour = shape.colour
     if colour is None:
@@ -278,7 +281,7 @@ def _line(picture: Picture, panel: PlotPanel, line: PlotLine, ax: Any, number: i
     return drawn
 
 
-def _flags(picture: Picture, panel: PlotPanel, ax: Any) -> None:
+def _flags(picture: Picture, panel: PlotPanel, ax: Axes) -> None:
     """Draw each flag in a lane of its own, the first on top, filled while the flag is set."""
     lines = panel.lines
     for number, line in enumerate(lines):

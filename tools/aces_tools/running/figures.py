@@ -16,6 +16,7 @@ from aces_bus.controller import Bounds
 from aces_bus.controller.trip import Clipped
 from aces_bus.device.config import Joint
 from aces_bus.hardware import SimulatedBus
+from aces_bus.protocol.record import FieldValue
 from aces_bus.robot import Runner
 from aces_bus.runtime.tasks import Task
 
@@ -70,7 +71,7 @@ class StateLine:
 
     name: str
     unit: str
-    value: Any
+    value: FieldValue
     age_ns: int | None
     is_fresh: bool
     set_point: float | None

@@ -13,6 +13,7 @@ from aces_bus.protocol.draw.table import FieldRow
 from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import FieldValue
 
 from ..output.shape import RecordLeaf, getter, record_leaves
 from ..output.value_text import value_printer
@@ -131,7 +132,7 @@ def sparkline(values: Sequence[Any]) -> str:
     return "".join(BLOCKS[round((v - least) * scale)] if _is_number(v) else " " for v in values)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: FieldValue) -> bool:
     return isinstance(value, (int, float)) and -1e300 < value < 1e300
 
 

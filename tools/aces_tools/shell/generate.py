@@ -9,7 +9,8 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
-from typing import Any
+
+from aces_bus.protocol.record import PlainValue
 
 from ..main import Parser, parser_of
 from ..verbs import actions_of, summary_of, top_verbs, verbs
@@ -106,7 +107,7 @@ def _complete(verb: str, parser: Parser) -> None:
             action.complete = FILE  # type: ignore[attr-defined]
 
 
-def _names(kind: str) -> dict[str, Any]:
+def _names(kind: str) -> dict[str, PlainValue]:
     """Return what completes names of a kind, and files, in each shell."""
     is_file = kind in OR_FILES
     name, ask = f"_aces_{kind}", f"aces completion --list {kind} --words"

@@ -24,6 +24,8 @@ from importlib import import_module
 from types import SimpleNamespace
 from typing import Any, BinaryIO
 
+from aces_bus.protocol.record import PlainValue
+
 from .conversions import ChannelConversion
 from .frames import group_kind
 from .tree import (
@@ -55,7 +57,7 @@ class _Copy:
     def __init__(self, mdf: Any, out: BinaryIO) -> None:
         self.mdf, self.out = mdf, out
 
-    def described(self) -> dict[str, Any]:
+    def described(self) -> dict[str, PlainValue]:
         """Return what `described_tree` takes."""
         header, identification = self.mdf.header, self.mdf.identification
         return {
@@ -64,7 +66,7 @@ class _Copy:
             "groups": [self._group(group) for group in self.mdf.groups],
         }
 
-    def _group(self, group: Any) -> dict[str, Any]:
+    def _group(self, group: Any) -> dict[str, PlainValue]:
         block = group.channel_group
         source = block.acq_source
         records, flags = int(block.cycles_nr), int(block.flags)
@@ -72,7 +74,7 @@ class _Copy:
             records = flags = 0
         kind = group_kind([channel.name for channel in group.channels])
         size = int(block.samples_byte_nr + block.invalidation_bytes_nr)
-        found: dict[str, Any] = {
+        found: dict[str, PlainValue] = {
             "group": [records, flags, int(block.samples_byte_nr), size if kind else 0],
             "bus": [getattr(source, "bus_type", 0), getattr(source, "path", "")],
             "channels": [self._channel(group, at, kind) for at in range(len(group.channels))],
@@ -81,10 +83,10 @@ class _Copy:
             found["records"] = self._copied(lambda: self._records(group, size))
         return found
 
-    def _channel(self, group: Any, at: int, kind: str | None) -> dict[str, Any]:
+    def _channel(self, group: Any, at: int, kind: str | None) -> dict[str, PlainValue]:
         channel = group.channels[at]
         is_array = any(not isinstance(part, tuple) for part in group.channel_dependencies[at] or ())
-        found: dict[str, Any] = {
+        found: dict[str, PlainValue] = {
             "channel": [
                 *(channel.name, channel.channel_type, channel.data_type, channel.bit_offset),
                 *(channel.byte_offset, channel.bit_count, channel.sync_type, channel.flags),
@@ -219,7 +221,7 @@ def _words(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def copy_records(path: str, folder: str, records: str) -> dict[str, Any]:
+def copy_records(path: str, folder: str, records: str) -> dict[str, PlainValue]:
     """Return what the file at `path` holds, its records copied to `records`; `folder` is for temporary files."""
     from asammdf import MDF
 
