@@ -56,7 +56,7 @@ LENGTHS = "AcesLengths"
 SEARCHED = 12
 
 #: (message, signal or None) to the line it was declared on; 0 where unknown.
-Lines = Callable[[DbcMessage, DbcSignal | None], int]
+Lines = Callable[["DbcMessage", "DbcSignal | None"], int]
 
 
 def build(database: Database, name: str, path: str, lines: Lines) -> tuple[Protocol, list[ImportProblem]]:
