@@ -316,7 +316,7 @@ class _Walk:
 
         return draw
 
-    def _items(self, con: Items) -> Draw:
+    def _items(self, con: Any) -> Draw:
         """Return a list as it is read: good items of all kinds, unknown ones, and bytes that are none."""
         kinds = [(con.numbers[name], self.of(data)) for name, data in con.data.items()]
 

@@ -233,7 +233,7 @@ class Field(Adapter):
             inner = inner.subcon
         others = (*_NO_NUMBERS, SignMagnitude) if mine is SignMagnitude else _NO_NUMBERS
         if isinstance(inner, others):
-            other = next(kind for kind in others if isinstance(inner, kind))
+            other = next(kind for kind in others if isinstance(inner, kind))  # pyright: ignore[reportUnnecessaryIsInstance]
             more = "; names of a quantity are its names={…}" if Quantity in (mine, other) else ""
             raise SpecError(
                 f"{self.place}: {mine.__name__} takes a number of the wire, not another {other.__name__}{more}"

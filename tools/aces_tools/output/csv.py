@@ -197,7 +197,7 @@ def cell_of(node: p.Node) -> Callable[[Any], bytes]:
     return lambda value: _written(cell(value, plain)).encode("utf-8", "replace")
 
 
-def cell(value: FieldValue, plain: Callable[[Any], Any] = json_value) -> Any:
+def cell(value: Any, plain: Callable[[Any], Any] = json_value) -> Any:
     """Return a value as one cell."""
     match value:
         case None | str() | float():
