@@ -82,6 +82,7 @@ def proof_lengths(message: Message) -> tuple[list[int], str]:
         sizes = list(range(framing.min_size, min(most, longest) + 1))
         if not is_open and needed > LONGEST:
             sizes = sorted({*sizes, *range(needed - 2, min(most, needed + 3) + 1)})
+        sizes = [size for size in sizes if not size % framing.multiple]  # a scanner hands over no others
         is_cut = is_open and most > longest
     return sizes, f"packets of up to {max(sizes)} bytes of {most}" if is_cut else ""
 
@@ -330,7 +331,8 @@ def prove_encoder(
     run = stand_ins.function(function)
     framing = message.framing
     tail = framing.check_size + len(framing.end) if framing is not None else 0
-    derived = framing.affine.length if framing is not None and framing.affine is not None else None
+    # Length and check in the header are zero here: the framing writes them.
+    derived = [head for head in framing.heads if head.name in framing.derived] if framing is not None else []
     start = len(framing.sync) if framing is not None else 0
     taken = 0
     for size in sizes:
@@ -352,9 +354,9 @@ def prove_encoder(
                 return  # construct builds it, or refuses it
             built = SymbolicBytes.of(head) + SymbolicBytes.of(rest)  # type: ignore[operator]
             known = packet.data[start : size - tail]
-            if derived is not None:  # zero here, written by the framing
-                at = derived.offset - start
-                known = known[:at] + bytes(derived.size) + known[at + derived.size :]
+            for own in derived:
+                at = own.offset - start
+                known = known[:at] + bytes(own.size) + known[at + own.size :]
             if len(built) != len(known):
                 search.fail(f"the encoder builds {len(built)} bytes of {len(known)}")
             conditions = [built.same(known)]
