@@ -45,6 +45,13 @@ def test_what_is_proved_of_a_scanner_is_said() -> None:
 
 
 @pytest.mark.slow
+def test_a_scanner_whose_proof_has_no_more_time_is_bounded() -> None:
+    """What was proved until then is said, and the trial by pieces is made."""
+    (outcome,) = StreamJob(load_protocol("minihubo_adc").variant()).prove(0)
+    assert outcome.status == "bounded"
+    assert "time limit" in " ".join(claim.reason for claim in outcome.parts)
+
+
 def test_what_z3_cannot_prove_is_tried_and_said() -> None:
     """NMEA's sentences end with one of two marks."""
     (outcome,) = StreamJob(load_protocol("nmea0183").variant()).prove(60)

@@ -36,7 +36,7 @@ from .account import Outcome
 from .decoding import FailedClaim, Witness, drawn, proof_lengths
 from .meaning import check_number_of, covered_cells, head_value, is_value_of
 from .stand_ins import code_with_constants, from_bytes
-from .symbols import NotProvable, PathSearch, Refuted, SymbolicBytes, SymbolicInt, concrete
+from .symbols import NoAnswer, NotProvable, PathSearch, Refuted, SymbolicBytes, SymbolicInt, concrete
 from .witness import by_reference, image_of
 
 #: How many symbolic bytes there are from a place on, and how many of them behind the shortest packet.
@@ -536,7 +536,7 @@ class StreamJob:
                 return
             reason = f"{found.what} ({found.data.hex()}), which running it does not confirm"
             search.reached = -1
-        except NotProvable as refused:
+        except (NoAnswer, NotProvable) as refused:
             reason = str(refused)
         finally:
             outcome.paths = search.paths
