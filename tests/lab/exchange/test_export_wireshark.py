@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 import pytest
 from construct import (
     Byte,
+    Default,
     Float32b,
     GreedyBytes,
     GreedyRange,
@@ -37,6 +38,8 @@ from aces_bus import Frame, FrameTable, Unknown, make_scanner
 from aces_bus.protocol import (
     BitLayout,
     CanScanner,
+    Crc,
+    DataIds,
     Enumeration,
     Items,
     Protocol,
@@ -442,6 +445,48 @@ def test_lists_of_items(tmp_path: Path) -> None:
     packets.append(tlv.encode("Data", time=1, items=[*known, {"kind": 77, "data": b"xyz"}, short, known[0]]))
     packets += [packet[:-1] + bytes([packet[-1] ^ 1]) for packet in packets[:4]]
     assert check_stream(tmp_path, variant, "both", packets) == {"Data", "Pairs", "Levels", "Fixed"}
+
+
+@needs_tshark
+def test_sizes_of_a_multiple(tmp_path: Path) -> None:
+    """Packets of a multiple of four bytes are shown; those of another size, with a check that holds, are not."""
+    padded = Protocol("padded", link="serial")
+    framing = padded.framing(
+        sync=b"\xaa",
+        header=Struct("length" / Byte),
+        size=this.length + 0,
+        multiple=4,
+        max_size=64,
+        check=Sum(),
+    )
+    framing("Line", payload=Struct("value" / Byte, "padding" / Default(GreedyBytes, b"")))
+    packets = [padded.encode("Line", value=n, padding=bytes(n)) for n in range(9)]
+    for size in range(4, 13):
+        body = bytes([size, 7, *range(size - 4)])
+        packets.append(b"\xaa" + body + bytes([sum(body) & 0xFF]))
+    assert check_stream(tmp_path, padded.variant(), "both", packets) == {"Line"}
+    shown = tshark(tmp_path, print_dissector(padded.variant())[0], pcap_file(tmp_path, packets[9:]))
+    assert [any("message" in one for one in messages) for messages in shown] == [
+        size % 4 == 0 for size in range(4, 13)
+    ]
+
+
+@needs_tshark
+def test_checks_over_a_data_id_that_a_counter_chooses(tmp_path: Path) -> None:
+    """AUTOSAR's profile 2: each of sixteen ids belongs to one count; with another id's check a frame is malformed."""
+    ids = bytes(range(0x31, 0x41))
+    protected = Protocol("protected", link="can")
+    over = (slice(1, None), DataIds("count", ids))
+    layout = BitLayout(8, "crc" / bits(8), "count" / bits(4), "mode" / bits(4), "speed" / bits(16))
+    protected.message(
+        "State", id=0x200, payload=layout, check=Crc("CRC8-AUTOSAR", field="crc", over=over), length=8
+    )
+    frames = [
+        protected.encode("State", count=n % 16, mode=n % 3, speed=1000 * n, reserved=n << 32)
+        for n in range(32)
+    ]
+    wrong = [replace(frame, data=bytes([frame.data[0] ^ 1]) + frame.data[1:]) for frame in frames[:16]]
+    assert check_can(tmp_path, protected.variant(), [*frames, *wrong]) == {"State"}
 
 
 @needs_tshark
