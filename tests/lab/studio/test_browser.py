@@ -158,17 +158,29 @@ def test_hostile_texts_stay_text(hubo: Page, tmp_path: Path) -> None:
         "(1.200000) can0 7FF#00",
     ]
     (tmp_path / "<i>walk.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (tmp_path / "draft.py").write_text(
+        "from aces_bus.protocol import BitLayout, Protocol, Quantity, bits\n"
+        'draft = Protocol("draft", link="can")\n'
+        f'draft.message("Other", id=0x7FF, payload=BitLayout(1, "x" / Quantity(bits(8), unit="{HOSTILE}")))\n',
+        encoding="utf-8",
+    )
     driver = hubo.driver
-    with served("<i>walk.log", "-p", "evil.py", folder=tmp_path) as url:
+    with served("<i>walk.log", "-p", "evil.py", "-o", "draft.py", folder=tmp_path) as url:
         driver.get(url)
-        rows = eventually(lambda: texts(driver, "tr[data-row]"))
-        page = "\n".join(rows)
+        page = "\n".join(eventually(lambda: texts(driver, "tr[data-row]")))
         assert "<script>" in page
         assert HOSTILE in page
         assert "<b>x</b>" in page
+        click(driver, "tr[data-row]", "7FF")
+        click(driver, "button", "Run draft.py and read it")
+        eventually(lambda: any(HOSTILE in line for line in texts(driver, ".bits-list tr")))
+        click(driver, ".bits-list a", "edit")
+        eventually(
+            lambda: driver.find_element("css selector", labelled("unit")).get_attribute("value") == HOSTILE
+        )
         time.sleep(0.5)  # what is run would be run by now
         assert driver.title == "aces studio"
-        assert driver.find_elements("css selector", ".traffic img, .traffic script, .studio-title i") == []
+        assert driver.find_elements("css selector", "img[src=x], .traffic script, .studio-title i") == []
 
 
 @pytest.mark.parametrize("width", [1400, 800])

@@ -80,7 +80,7 @@ class Server:
         application = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
         add_page(studio)
         options: dict[str, Any] = {"dark": None, "message_history_length": 50, "show_welcome_message": False}
-        ui.run_with(application, title="aces studio", favicon="🚌", reconnect_timeout=5.0, **options)
+        ui.run_with(application, title="aces studio", favicon="🚌", reconnect_timeout=30.0, **options)
         self.gate = PageGate(application, port)
         self.url = f"http://{HOST}:{port}/?token={self.gate.token}"
         self._server = uvicorn.Server(

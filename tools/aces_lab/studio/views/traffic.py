@@ -113,7 +113,8 @@ class TrafficView(StudioView):
         if event.value:
             with self.studio.capture.lock:
                 self._shown = self._chosen()
-                self._frozen = [self._line(number, row) for number, row in enumerate(self._shown)]
+                columns = self._columns
+                self._frozen = [self._line(number, row, columns) for number, row in enumerate(self._shown)]
         self.update()
 
     def _marked(self) -> None:
@@ -219,17 +220,17 @@ class TrafficView(StudioView):
         """Show the rows in sight."""
         first = max(0, int((self._top - HEAD_PX) / ROW_PX) - MARGIN)
         last = first + int(self._height / ROW_PX) + 2 * MARGIN
+        columns = self._columns
         with self.studio.capture.lock:
             if self._frozen is not None:
                 lines = self._frozen[first:last]
             else:
                 self._shown = self._chosen()
                 some = enumerate(self._shown[first:last], first)
-                lines = [self._line(number, row) for number, row in some]
+                lines = [self._line(number, row, columns) for number, row in some]
         total = len(self._shown)
         above, below = first * ROW_PX, max(0, total - first - len(lines)) * ROW_PX
         arrow = "▼" if self._is_falling else "▲"
-        columns = self._columns
         widths = "".join(
             f'<col class="col-{column.width}{" wide" * ("wide" in column.classes)}">' for column in columns
         )
@@ -247,7 +248,7 @@ class TrafficView(StudioView):
         if not self._filter or self._where is not None or not any(sign in self._filter for sign in SIGNS):
             self._said.set_text(f"{total} of {every} rows" if total != every else f"{total} rows")
 
-    def _line(self, number: int, row: TrafficRow) -> str:
+    def _line(self, number: int, row: TrafficRow, columns: Sequence[TrafficColumn]) -> str:
         record = self._record(row)
         pace = row.pace_ms
         cells = {
@@ -263,7 +264,7 @@ class TrafficView(StudioView):
         if self._mark is not None:
             flips, frames = self._since(row)
             cells["Since mark"] = f"{flips} bits, {frames:,} ×" if frames else ""
-        tds = "".join(f'<td class="{column.classes}">{cells[column.head]}</td>' for column in self._columns)
+        tds = "".join(f'<td class="{column.classes}">{cells[column.head]}</td>' for column in columns)
         return f'<tr data-row="{number}">{tds}</tr>'
 
     def _values(self, record: Any) -> str:
