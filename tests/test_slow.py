@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from aces_bus.device.drivers import list_drivers
 from tests.conftest import LEFT, ROOT
 
 
@@ -13,10 +14,10 @@ def test_every_line_names_a_test(part: str) -> None:
     """A line of a test that was renamed or is gone would leave out nothing, unseen."""
     for file, names in LEFT[part].items():
         text = (ROOT / file).read_text(encoding="utf-8")
-        if "globals()" in text:
-            text += " ".join(
-                f"test_{driver}" for driver in list_drivers()
-            )  # one for each driver without a file of its own
+        if "globals()" in text:  # a test for each driver without a file of its own
+            text += re.sub(
+                r"^(\w+) = ", r"test_\1 ", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), flags=re.M
+            )
         functions = {name.partition("[")[0] for name in names}
         assert not [name for name in functions if name not in text], file
 
