@@ -24,6 +24,8 @@ it. On a bus that exists they transmit: they answer every request.
 from __future__ import annotations
 
 import argparse
+import os
+import socket
 import sys
 import threading
 import time
@@ -196,6 +198,10 @@ def _summary(stand: SimulatedRobot, as_json: bool) -> None:
 # ---------------------------------------------------------------------- where the twins are
 
 
+#: Where a system has no Unix sockets or no pseudo-terminals, buses and lines are served at TCP ports of this machine.
+HAS_UNIX = hasattr(socket, "AF_UNIX")
+
+
 class SimulatedRobot:
     """A robot's twins on their buses, open. What is to be closed is put on `stack`. Raises `CallerError`."""
 
@@ -282,6 +288,7 @@ class SimulatedRobot:
             return {}
         from aces_bus.hardware.ports import SerialPort
         from aces_bus.hardware.simulated.serial_line import PtyPort
+        from aces_bus.hardware.simulated.tcp_port import TcpPort
         from aces_bus.robot.buses import wire_of
         from aces_bus.robot.rig import spoken_on
         from aces_bus.runtime import VirtualClock
@@ -290,7 +297,8 @@ class SimulatedRobot:
         for name in names:
             protocol = spoken_on(self.robot)[name]
             wire: Any = wire_of(self.robot.buses[name], protocol, VirtualClock(time.monotonic_ns()))
-            pty = stack.enter_context(PtyPort(wire, whole=True))
+            pty = PtyPort(wire, whole=True) if hasattr(os, "openpty") else TcpPort(wire)
+            stack.callback(pty.close)
             found[name] = SerialPort(wire, name=name)
             self.reached[name] = {
                 "kind": "serial",
@@ -325,17 +333,15 @@ class SimulatedRobot:
         for name, text in wanted.items():
             if text is None:
                 continue
-            address = ServedAddress.parse(text)
-            is_served = _answers(address)
+            is_served = HAS_UNIX and _answers(ServedAddress.parse(text))
             if is_served and not options[name]:
                 other = f"{self.robot.name}_{name}"
                 raise CallerError(
                     f"bus {name}: {text} is served already; --bus {name}={text} joins it, --bus {name}=unix:{other} is"
                     " another"
                 )
-            options[name].update(interface="aces", channel=text)
-            self.reached[name] = {"kind": "can", "interface": "aces", "address": text}
             if is_served:
+                self._joined(name, options[name], text)
                 continue
             protocol = spoken_on(self.robot)[name]
             bus = self.robot.buses[name]
@@ -351,12 +357,19 @@ class SimulatedRobot:
                 fd=protocol.has_fd,
                 acknowledge=True,
             )
-            server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
+            unix = (plain if is_path else "") if HAS_UNIX else None
+            tcp = None if HAS_UNIX else ("127.0.0.1", 0)
+            server = BusServer([channel], unix=unix, tcp=tcp, socketcand=None, said=say)
+            self._joined(name, options[name], text if HAS_UNIX else server.addresses[channel.name][0])
             stack.callback(server.close)
             thread = threading.Thread(target=server.serve, name=f"bus {name}", daemon=True)
             thread.start()
             stack.callback(thread.join, 5.0)
             stack.callback(server.stop)
+
+    def _joined(self, name: str, options: dict[str, Any], address: str) -> None:
+        options.update(interface="aces", channel=address)
+        self.reached[name] = {"kind": "can", "interface": "aces", "address": address}
 
     # ------------------------------------------------------------------ datagrams
 
