@@ -381,6 +381,7 @@ TOP = {
         "LICENSE",
         "Makefile",
         "README.md",
+        "SECURITY.md",
         "aces_bus",
     ),
     *(
@@ -389,6 +390,7 @@ TOP = {
         "devices",
         "docs",
         "examples",
+        "hatch_build.py",
         "protocols",
         "pyproject.toml",
         "stubs",
