@@ -43,7 +43,7 @@ class EscTwin(Twin):
 
     @property
     def rpm(self) -> float:
-        """How fast the motor turns."""
+        """Return how fast the motor turns (rad/s)."""
         return self.wheel.speed(self.clock.now()) * 60 / tau
 
     def status(self) -> dict[str, Any]:
