@@ -43,7 +43,7 @@ class EscTwin(Twin):
 
     @property
     def rpm(self) -> float:
-        """Return how fast the motor turns (rad/s)."""
+        """Speed of the motor, in turns a minute."""
         return self.wheel.speed(self.clock.now()) * 60 / tau
 
     def status(self) -> dict[str, Any]:
