@@ -38,6 +38,8 @@ line = { link = "serial", protocol = "feetech", baud = 1_000_000 }
 )
 #: How often it asks again: its patience is some 50 ms, and a busy machine may take longer.
 RETRIES = 50
+#: What it is told that a byte takes (ms): its patience is the time of the bytes and 50 ms.
+SLOW_BYTE_MS = 100.0
 
 
 def patiently(step: Callable[[], Any]) -> Any:
@@ -65,7 +67,7 @@ def connect(bus: Any) -> None:
             raise ConnectionError(str(error)) from error
 
     patiently(step)
-    bus.port_handler.tx_time_per_byte = 100.0  # ms; its patience is the time of the bytes and 50 ms
+    bus.port_handler.tx_time_per_byte = SLOW_BYTE_MS
 
 
 def turn_by_hand(line: Any, count: int) -> None:
@@ -122,6 +124,7 @@ def test_feetech_with_the_fixture(aces_twin: Any) -> None:
     joints = {f"j{n}": motors.Motor(n, "sts3215", motors.MotorNormMode.DEGREES) for n in (1, 2)}
     bus = feetech.FeetechMotorsBus(arm.port, joints)
     bus.connect(handshake=False)
+    bus.port_handler.tx_time_per_byte = SLOW_BYTE_MS
     assert bus.ping("j1", num_retry=RETRIES) == 777
     bus.write("P_Coefficient", "j2", 16, num_retry=RETRIES)
     assert arm["FEETECH2"]["p_gain"] == 16
