@@ -177,6 +177,7 @@ def test_a_declared_dead_man_reaches_the_supervisor() -> None:
     assert "wave gave no set-points" in ended.tripped["serve"]
 
 
+@pytest.mark.slow
 def test_a_run_holds_and_leads_within_limits() -> None:
     """The leg is enabled and held; a client's set-points are led at the joint's rate, and clipped at its limits."""
     robot, problems = parse_robot(WHOLE)

@@ -122,6 +122,7 @@ def test_one_that_dies_is_missed_at_once(served: Served) -> None:
     assert served.desk.wanted["HIP"] < 0.5
 
 
+@pytest.mark.slow
 def test_stop_and_enable_again(served: Served) -> None:
     """A client without a name stops all devices; owners are free; joints are off until they are enabled again."""
     wave = served.connect("wave")
@@ -234,6 +235,7 @@ def test_random_bytes_never_reach_the_robot(served: Served) -> None:
     assert served.run.stopped == {}
 
 
+@pytest.mark.slow
 def test_one_that_does_not_read_waits(served: Served) -> None:
     """Its requests wait in its own socket; nothing is gathered for it without end, and others are served."""
     lazy = served.connect()

@@ -189,6 +189,7 @@ def sensing(**more: Any) -> tuple[VirtualRobot, Any]:
     return VirtualRobot(robot, physics=body, **more), body
 
 
+@pytest.mark.slow
 def test_boards_feel_the_body() -> None:
     """Standing, the feet carry the weight but that of the shanks beyond the knees; the attitude is the trunk's."""
     robot, body = sensing()
@@ -246,6 +247,7 @@ def test_a_part_is_measured_as_physics_has_it(tmp_path: Path) -> None:
     assert felt.wrench_on("nothing", now) is None
 
 
+@pytest.mark.slow
 def test_who_asks_changes_nothing() -> None:
     """A run with sensors that are read is the same, bit by bit, as one whose body is never asked."""
     ends: list[Any] = []
