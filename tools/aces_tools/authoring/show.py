@@ -81,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.message is None and not arguments.source and not arguments.json:
         _pictures(arguments)
     else:
+        arguments.search = None
         return protocols.run(arguments)
     return 0
 
