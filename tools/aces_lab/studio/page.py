@@ -23,7 +23,7 @@ from typing import ClassVar
 from nicegui import run, ui
 
 from aces_bus.errors import AcesError
-from aces_bus.plain_text import cell_text, without_controls
+from aces_bus.plain_text import cell_text, printable
 
 from . import views
 from .capture import TrafficRow
@@ -38,7 +38,7 @@ STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 def escaped(text: object) -> str:
     """Return a text for HTML, without control characters."""
-    return html.escape(without_controls(str(text)))
+    return html.escape(printable(str(text)))
 
 
 class StudioView(ABC):
@@ -90,7 +90,7 @@ class StudioPage:
         dark = ui.dark_mode(None)
         with ui.header().classes("studio-head"):
             ui.label("aces studio").classes("studio-name")
-            self._title = ui.label(without_controls(self.studio.title)).classes("studio-title")
+            self._title = ui.label(printable(self.studio.title)).classes("studio-title")
             self._tabs = ui.tabs().props("dense no-caps inline-label")
             with self._tabs:
                 for view in self.views:
@@ -152,10 +152,10 @@ class StudioPage:
             notes.append(f"bytes of the oldest {capture.left_out:,} {unit} are no longer kept")
         if capture.beyond:
             notes.append(f"{capture.beyond:,} frames of more identifiers have no row")
-        self._notes.set_text(without_controls("; ".join(notes)))
+        self._notes.set_text(printable("; ".join(notes)))
         self._notes.set_visibility(bool(notes))
         view.update()
-        self._commands[view.title].set_text(without_controls(shlex.join(view.words())))
+        self._commands[view.title].set_text(printable(shlex.join(view.words())))
 
     # ------------------------------------------------------------------ what is saved
 
@@ -174,7 +174,7 @@ class StudioPage:
 
     def say(self, text: str) -> None:
         """Show a message for some seconds."""
-        ui.notify(without_controls(text), position="bottom", multi_line=True, timeout=8000)
+        ui.notify(printable(text), position="bottom", multi_line=True, timeout=8000)
 
     @staticmethod
     def _picture(view: StudioView, suffix: str) -> bytes:
