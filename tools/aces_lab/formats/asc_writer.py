@@ -26,8 +26,9 @@ import numpy as np
 
 from aces_bus import FrameTable
 from aces_bus.frame_table import FrameFlag, Ints
-from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
 from aces_bus.recordings.write.text import Column, ColumnText
+
+from .started import DLC_OF_LENGTH, StartedWriter, rows_by_kind
 
 _DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")

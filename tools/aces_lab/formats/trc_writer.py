@@ -27,8 +27,9 @@ import numpy as np
 
 from aces_bus import FrameTable
 from aces_bus.frame_table import FrameFlag, Ints
-from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter
 from aces_bus.recordings.write.text import ColumnText
+
+from .started import DLC_OF_LENGTH, StartedWriter
 
 #: 1e-7 days in ns, and the days from 1899-12-30 to 1970-01-01.
 _GRAIN, _DAYS_BEFORE = 8_640_000, 25_569

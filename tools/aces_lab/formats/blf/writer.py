@@ -28,14 +28,9 @@ import numpy.typing as npt
 
 from aces_bus import FrameTable
 from aces_bus.frame_table import FrameFlag, Ints, widened
-from aces_bus.recordings.write.base import (
-    DLC_OF_LENGTH,
-    EARLIEST,
-    ChannelNumbers,
-    StartedWriter,
-    records_in_order,
-    rows_by_kind,
-)
+from aces_bus.recordings.write.base import ChannelNumbers
+
+from ..started import DLC_OF_LENGTH, EARLIEST, StartedWriter, records_in_order, rows_by_kind
 
 _CONTAINER = 128 * 1024
 _LEVEL = 2

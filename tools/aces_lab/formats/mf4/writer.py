@@ -20,8 +20,9 @@ import numpy as np
 
 from aces_bus import FrameTable
 from aces_bus.frame_table import NO_TIME, FrameFlag, Ints
-from aces_bus.recordings.write.base import DLC_OF_LENGTH, ChannelNumbers, RecordingWriter
+from aces_bus.recordings.write.base import ChannelNumbers, RecordingWriter
 
+from ..started import DLC_OF_LENGTH
 from . import blocks as mdf
 from .blocks import ORDER
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from aces_bus import FrameTable
 from aces_bus.frame_table import FrameFlag, Ints
-from aces_bus.recordings.write.base import FrameWriter, records_in_order
+from aces_bus.recordings.write.base import FrameWriter
 
+from ..started import records_in_order
 from .pcapng import BYTE_ORDER, ENHANCED, INTERFACE, NAME_BYTES, SECTION, interface_name
 from .socketcan import (
     BRS,
