@@ -120,7 +120,7 @@ class TrafficRow:
             self.flips = np.pad(self.flips, (0, more))
             self.flipped_ns = np.pad(self.flipped_ns, (0, more), constant_values=NO_TIME)
         before = self._pieces[-1].data[-1:] if self._pieces else data[:1]
-        changes = data ^ np.concatenate((widened(before, width)[:, :width], data[:-1]))
+        changes: Array = data ^ np.concatenate((widened(before, width)[:, :width], data[:-1]))
         rows = np.flatnonzero(changes.any(axis=1))
         if len(rows):
             bits = np.unpackbits(changes[rows], axis=1, bitorder="little")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
@@ -47,8 +48,8 @@ class Studio:
 def require_nicegui() -> None:
     """Raise `CallerError` naming the extra when the page's library is missing."""
     try:
-        import nicegui as _nicegui  # noqa: F401
-        import uvicorn as _uvicorn  # noqa: F401
+        for library in ("nicegui", "uvicorn"):
+            import_module(library)
     except ImportError as missing:
         raise CallerError(
             f"the studio needs NiceGUI: pip install 'aces-bus[studio]' ({missing})"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -67,7 +68,7 @@ class BitsView(StudioView):
             )
             self._select.classes("bits-select")
             for label, factor in (("Zoom in", ZOOM), ("Zoom out", 1 / ZOOM), ("All", 0.0)):
-                button = ui.button(label, on_click=lambda factor=factor: self._zoom(0.5, factor))
+                button = ui.button(label, on_click=partial(self._zoom, 0.5, factor))
                 button.props("dense outline no-caps size=sm")
             self._said = ui.label().classes("unit wide")
         with ui.element("div").classes("bits"):
@@ -134,7 +135,7 @@ class BitsView(StudioView):
             self._message.set_value(self._drawn().name)
         self.update()
 
-    def _selected(self, event: events.ValueChangeEventArguments[int]) -> None:
+    def _selected(self, event: events.ValueChangeEventArguments[int | None]) -> None:
         rows = self.studio.capture.rows
         if event.value is not None and self._row is not rows[event.value]:
             self.show(rows[event.value])
@@ -196,7 +197,7 @@ class BitsView(StudioView):
 
     def _take(self, field: DrawnField) -> None:
         """Put a field into the form."""
-        pairs: tuple[tuple[Any, Any], ...] = (
+        pairs: list[tuple[Any, Any]] = [
             (self._name, field.name),
             (self._start, field.start),
             (self._length, field.length),
@@ -205,7 +206,7 @@ class BitsView(StudioView):
             (self._scale, field.scale),
             (self._offset, field.offset),
             (self._unit, field.unit),
-        )
+        ]
         self._is_taking = True  # each element that is set tells `_typed` of it
         for element, value in pairs:
             element.set_value(value)
