@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from aces_bus import decode
 from aces_devices.laser import WALLS, distance_in_room
 from aces_devices.ld06 import EXAMPLE, driver
 from aces_protocols.ld06.spec import POINTS, ld06
@@ -51,7 +52,7 @@ def test_packets_mean_the_same() -> None:
         (speed, distances) for speed, _, distances in wanted
     ]
     assert [r.start_angle for r in records] == pytest.approx([angle for _, angle, _ in wanted])
-    table = ld06.decode(data, direction="from device")["Measurements"]
+    table = decode(data, ld06, direction="from device")["Measurements"]
     assert table["points.11.distance"].to_list() == [distances[-1] for _, _, distances in wanted]
 
 
