@@ -24,7 +24,7 @@ def test_the_long_description_has_no_link_that_leads_nowhere() -> None:
     assert metadata["readme"]["content-type"] == "text/markdown"
     assert re.findall(r"\]\((?!https?:)", text) == []
     assert text.count("](http") == readme.count("](http")
-    assert "Read on: captures, guessing" in text
+    assert "Read on: a notebook, captures, guessing" in text
     assert len(text.splitlines()) == len(readme.splitlines())
     assert hatch_build.LINK.sub(r"\1", "[`a[0]`](b.md#c) [d](https://e.f)") == "`a[0]` [d](https://e.f)"
 
