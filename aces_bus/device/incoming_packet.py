@@ -8,13 +8,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from typing import Any
 
 from ..frames import Frame
 from ..protocol.declare.handshake import GivenUp
 from ..protocol.declare.transport import Transport
 from ..protocol.live.reassemble import Reassembler
-from ..runtime.clock import EventClock
+from ..runtime.clock import EventClock, Timer
 
 
 class IncomingPacket:
@@ -27,7 +26,7 @@ class IncomingPacket:
         opening: bytes,
         session: Hashable,
         clock: EventClock,
-        send: Callable[[Frame], Any],
+        send: Callable[[Frame], object],
         over: Callable[[], object],
     ) -> None:
         self._transport, self._key, self._opening, self._session = transport, key, opening, session
@@ -37,7 +36,7 @@ class IncomingPacket:
         self._end = self._missing = 0
         #: Until when the scanner waits for another frame (ns).
         self._until = 0
-        self._timer: Any = None
+        self._timer: Timer | None = None
 
     def take(self, key: int, data: bytes) -> None:
         """Take one more frame of the session; the first is the packet's first."""

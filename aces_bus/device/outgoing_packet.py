@@ -15,7 +15,7 @@ from typing import Any
 from ..frames import Frame
 from ..protocol.declare.handshake import AnswerTimes, GivenUp, Steering
 from ..protocol.declare.transport import Transport
-from ..runtime.clock import EventClock
+from ..runtime.clock import EventClock, Timer
 from .port import Left
 
 #: How often a receiver may say that the sender has to wait, and how often it may have each frame on average.
@@ -58,7 +58,7 @@ class OutgoingPacket:
         self._is_pausing = self._is_sending = False
         self.fate = ""
         self._given_up: GivenUp | None = None
-        self._timer: Any = None
+        self._timer: Timer | None = None
 
     @property
     def has_begun(self) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Literal
 
 from ..errors import AcesError, CallerError, DeviceError
-from ..runtime.clock import EventClock
+from ..runtime.clock import EventClock, Timer
 from .port import Packet
 
 #: A job yields a ticket or another job (and gets its result), or ns to let pass.
@@ -152,7 +152,7 @@ class Job(Awaited):
         super().__init__(clock)
         self.name = name
         self.progress, self.text = 0.0, ""
-        self._timer: Any = None
+        self._timer: Timer | None = None
         self._steps = steps(self)
         clock.call_soon(lambda: self._go_on(None, None))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 from construct import Construct, ConstructError, Default, Renamed
@@ -29,7 +29,7 @@ from .record import FieldValue
 CanParts = tuple[int, bytes, bool, bool, bool]
 
 #: The last value of each rolling counter of each device, by `Message.counter_key`.
-Counts = dict[tuple[Any, ...], int]
+Counts = dict[tuple[Hashable, ...], int]
 
 
 class UnusualValue(Exception):

@@ -117,11 +117,11 @@ class Track:
         self._seen += 1
         self.state = self._begun(value, instant, (instant - self.state[0]) * 1e-9 if self._seen == 2 else 0.0)
 
-    def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
+    def _begun(self, value: float, instant: int, dt: float) -> tuple[float, ...]:
         """Return the state behind the first sample (dt = 0), or behind the second."""
         raise NotImplementedError
 
-    def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
+    def _updated(self, value: float, instant: int) -> tuple[float, ...]:
         """Return the state behind one more sample."""
         raise NotImplementedError
 
@@ -137,13 +137,13 @@ class Track:
 class VelocityTrack(Track):
     """Nearly constant velocity; behind value and velocity are the covariances xx, xv, vv."""
 
-    def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
+    def _begun(self, value: float, instant: int, dt: float) -> tuple[float, ...]:
         r = self.variance
         if not dt:
             return (instant, value, 0.0, 0.0, r, 0.0, 0.0)
         return (instant, value, (value - self.state[1]) / dt, 0.0, r, r / dt, 2 * r / (dt * dt))
 
-    def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
+    def _updated(self, value: float, instant: int) -> tuple[float, ...]:
         r = self.variance
         since, x, v, _, xx, xv, vv = self.state
         dt = (instant - since) * 1e-9
@@ -161,7 +161,7 @@ class VelocityTrack(Track):
 class AccelerationTrack(Track):
     """Nearly constant acceleration; behind the three are the covariances xx, xv, xa, vv, va, aa."""
 
-    def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
+    def _begun(self, value: float, instant: int, dt: float) -> tuple[float, ...]:
         r = self.variance
         if not dt:
             return (instant, value, 0.0, 0.0, r, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -171,7 +171,7 @@ class AccelerationTrack(Track):
         vv = 2 * r / dt**2 + aa * dt**2 / 4
         return (instant, value, v, 0.0, r, r / dt, 0.0, vv, aa * dt / 2, aa)
 
-    def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
+    def _updated(self, value: float, instant: int) -> tuple[float, ...]:
         r = self.variance
         since, x, v, a, xx, xv, xa, vv, va, aa = self.state
         dt = (instant - since) * 1e-9

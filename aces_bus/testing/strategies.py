@@ -30,7 +30,7 @@ from .source import Drawn, Entropy
 from .specs import Link, draw_spec, protocol_of
 
 
-def _drawn(draw: Any) -> Drawn:
+def _drawn(draw: st.DrawFn) -> Drawn:
     return Drawn(
         lambda low, high: draw(st.integers(low, high)),
         lambda size: draw(st.binary(min_size=size, max_size=size)),
@@ -38,13 +38,15 @@ def _drawn(draw: Any) -> Drawn:
 
 
 @st.composite
-def fields(draw: Any, message: Message) -> dict[str, FieldValue]:
+def fields(draw: st.DrawFn, message: Message) -> dict[str, FieldValue]:
     """Draw raw values of all fields of `message`: `message.struct.build(values, raw=True)` takes them."""
     return draw_values(message, _drawn(draw))
 
 
 @st.composite
-def packets(draw: Any, variant: Variant, direction: Way = None, message: str | None = None) -> DrawnPacket:
+def packets(
+    draw: st.DrawFn, variant: Variant, direction: Way = None, message: str | None = None
+) -> DrawnPacket:
     """Return a valid packet or frame of a variant, with a request that it answers where it answers one.
 
     `message` names the one wanted; else it is any that can occur in `direction`.

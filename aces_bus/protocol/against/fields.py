@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 from zlib import crc32
@@ -352,7 +352,7 @@ class MessageWatch:
             for field in self.fields
             if field.leaf.path in outer or field.leaf.node.is_of_request or field.leaf.node.value_names
         ]
-        self._devices: dict[tuple[Any, ...], int] = {}
+        self._devices: dict[tuple[Hashable, ...], int] = {}
 
     def take(self, table: MessageTable, locate: Locate) -> None:
         """Take the messages of a piece of the recording."""

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from inspect import signature
 from typing import Any
 
@@ -46,7 +46,7 @@ def decode_tables(
         if name not in variant.messages:
             raise UnknownNameError(f"message of {variant.label}", name, variant.messages)
     parts: dict[str, list[MessageTable]] = {}
-    scanners: dict[Any, ColumnScanner] = {}
+    scanners: dict[Hashable, ColumnScanner] = {}
 
     def keep(tables: Iterable[MessageTable]) -> None:
         for table in tables:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
@@ -88,7 +88,7 @@ class DeclaredProtocol:
         self.framings: list[Framing] = []
         #: Maps of registers, in the order of their declaration: one for each kind of device that has its own.
         self.register_maps: list[RegisterMap] = []
-        self._variants: dict[Any, Variant] = {}
+        self._variants: dict[Hashable, Variant] = {}
         self._neighbours, self._on_stream = ambiguity.Neighbours(), ambiguity.StreamNeighbours()
         #: Of each transport that has identifiers of its own, the first message.
         self._carried: dict[Transport, Message] = {}

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Hashable
 
 import construct as c
 from construct import Construct, core
@@ -117,7 +117,7 @@ ENCODINGS = frozenset(
 )
 
 #: What `Bitwise`, `ByteSwapped` and `BitsSwapped` do to bytes: how many come out of one.
-TRANSFORMS: dict[Any, int] = {core.bytes2bits: 8, core.swapbytes: 1, core.swapbitsinbytes: 1}
+TRANSFORMS: dict[Hashable, int] = {core.bytes2bits: 8, core.swapbytes: 1, core.swapbitsinbytes: 1}
 
 
 def construct_class(con: c.Construct) -> type | None:

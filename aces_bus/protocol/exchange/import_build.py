@@ -24,7 +24,7 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from sys import float_info
 from typing import TYPE_CHECKING, Any
 
@@ -362,7 +362,7 @@ def _patterns_of(messages: Sequence[DbcMessage]) -> list[IdPattern]:
     return found
 
 
-def _shape(message: DbcMessage) -> tuple[Any, ...]:
+def _shape(message: DbcMessage) -> tuple[Hashable, ...]:
     """Return how a message is laid out: equal for messages that give the same values of the same bytes."""
     return message.length, *(
         (

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import linecache
 import re
+from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from ..declare.place import SourceLine
 from ..record import PlainValue
@@ -71,7 +72,7 @@ class Finding:
     LEVELS: ClassVar[tuple[Level, ...]] = ("error", "warning", "note")
 
     @staticmethod
-    def sort_key(finding: Finding) -> tuple[Any, ...]:
+    def sort_key(finding: Finding) -> tuple[Hashable, ...]:
         """Return what sorts by file and line, worse ones first."""
         return (
             finding.place.file,

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import repeat
 from typing import TYPE_CHECKING, Any
@@ -204,7 +204,7 @@ class CanScanner:
         #: By key, what decodes it; made when the first frame with that key comes.
         self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
-        self._asked: dict[Any, list[tuple[CanDecider, Message]]] = {}
+        self._asked: dict[Hashable, list[tuple[CanDecider, Message]]] = {}
         #: Keys that no request has; they are among `_asked`, and bounded as these.
         self._unasked: set[int] = set()
         #: By key and data, requests of our own with their fields: polls are the same frames again and again.

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +22,7 @@ DEVICES = 65536
 
 
 #: What names a device among the raw fields of a message, as one value a field.
-Who = Callable[[Mapping[str, Any]], tuple[Any, ...]]
+Who = Callable[[Mapping[str, Any]], tuple[Hashable, ...]]
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class Entry:
     values: Mapping[str, FieldValue]
     consumed: bool = False
     #: Of a request to everyone: who has answered it.
-    answered: set[tuple[Any, ...]] = field(default_factory=set)
+    answered: set[tuple[Hashable, ...]] = field(default_factory=set)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Context:
         self._kinds: dict[str, dict[tuple[str, ...], Who]] = {}
         #: By message, all fields that it shares with its requests: what `of` looks at.
         self.shared: dict[str, tuple[str, ...]] = {}
-        self._seen: dict[tuple[Any, ...], list[Entry]] = {}
+        self._seen: dict[tuple[Hashable, ...], list[Entry]] = {}
         self._count = 0
         self._broadcast = broadcast
         #: The names of the requests that have passed.
@@ -204,7 +204,7 @@ class Context:
 
         None where the identifier alone does not say, or a request is used up or too old some time.
         """
-        places: dict[Any, int] = {}
+        places: dict[Hashable, int] = {}
         found: list[tuple[int, Message, Request]] = []
         for message in messages:
             outer = message.identifier.match(identifier) or {}
@@ -260,8 +260,8 @@ class Context:
         self,
         link: RequestLink,
         channel: str | int | None,
-        wanted: tuple[Any, ...],
-        who: tuple[Any, ...],
+        wanted: tuple[Hashable, ...],
+        who: tuple[Hashable, ...],
         within: float | None,
         time: float | None,
     ) -> Entry | None:
@@ -280,7 +280,7 @@ class Context:
         return f"unknown: needs request {'|'.join(names)}"
 
 
-def _wanted(link: RequestLink, who: tuple[Any, ...]) -> Sequence[tuple[tuple[Any, ...], bool]]:
+def _wanted(link: RequestLink, who: tuple[Hashable, ...]) -> Sequence[tuple[tuple[Hashable, ...], bool]]:
     """Return what a request to the device `who` has in the shared fields, and one to everybody, with whether it is that."""
     if not link.to_all:
         return ((who, False),)

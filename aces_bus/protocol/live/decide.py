@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -83,7 +83,7 @@ class Decider:
         #: The key of the last packet that is recognised only with its request, and why; asked by `need_of`.
         self._need: tuple[int, str] = (-1, "")
         #: The last value of each rolling counter of each device on each channel, whichever function decodes it.
-        self.last_counts: dict[tuple[Any, ...], int] = {}
+        self.last_counts: dict[tuple[Hashable, ...], int] = {}
 
     def reset(self) -> None:
         """Forget requests and rolling counters."""

@@ -16,7 +16,9 @@ from aces_bus.runtime.clock import EventClock
 class Periodic:
     """A message that repeats, as canopen wants its tasks."""
 
-    def __init__(self, clock: EventClock, period: float, send: Callable[[bytes], Any], data: bytes) -> None:
+    def __init__(
+        self, clock: EventClock, period: float, send: Callable[[bytes], object], data: bytes
+    ) -> None:
         self._clock, self._send, self.data = clock, send, bytes(data)
         self._period = max(1_000_000, round(period * 1e9))
         self._timer = clock.call_in(self._period, self._again)
@@ -37,7 +39,7 @@ class Periodic:
 class StationNetwork(Network):
     """A network whose bus is a function `send(identifier, data)`."""
 
-    def __init__(self, clock: EventClock, send: Callable[[int, bytes], Any]) -> None:
+    def __init__(self, clock: EventClock, send: Callable[[int, bytes], object]) -> None:
         super().__init__(None)
         self._clock, self._put = clock, send
         self.repeated: list[Periodic] = []

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 from aces_bus.device import Twin, on
 from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
+from aces_bus.runtime.clock import Timer
 from aces_protocols.rmdx.spec import ERRORS, GAINS
 
 from ..joint_model import AMBIENT, MotorModel, joint_of
@@ -58,7 +59,7 @@ class RmdxTwin(Twin):
             ),
         )
         self.mode, self.started = "", self.clock.now()
-        self._watch: Any = None
+        self._watch: Timer | None = None
         self.lock(True)
 
     def draw(self, dice: Random, share: float = 1.0) -> None:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin
 from aces_bus.protocol import Record
+from aces_bus.runtime.clock import Timer
 from aces_protocols.roboclaw.spec import FULL_DUTY
 
 from ..wheel_model import SteadyShaft
@@ -91,7 +92,7 @@ class RoboclawTwin(Twin):
         #: By motor: the duty that it is driven with; None: it turns with a speed, or to a position.
         self.duty: dict[int, float | None] = {1: 0.0, 2: 0.0}
         self.received_at = self.clock.now()
-        self._watch: Any = None
+        self._watch: Timer | None = None
         self._stop_both()
 
     # ------------------------------------------------------------------ motion

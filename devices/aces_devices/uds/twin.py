@@ -17,6 +17,7 @@ from aces_bus.device import Twin, on
 from aces_bus.errors import UnknownNameError
 from aces_bus.protocol import Record
 from aces_bus.protocol.record import FieldValue
+from aces_bus.runtime.clock import Timer
 from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 from aces_protocols.uds.spec import IDENTIFIERS, RESETS, SERVICE_OF, SESSIONS, uds
@@ -108,7 +109,7 @@ class UdsTwin(Twin):
         #: Of a download: where the next piece goes, how much is missing, the number of the last piece.
         self._place = self._missing = self._number = 0
         self._is_loading = False
-        self._end: Any = None
+        self._end: Timer | None = None
         self._busy_until = 0
 
     def draw(self, dice: Random, share: float = 1.0) -> None:

@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from msgspec import structs
 
@@ -109,7 +109,7 @@ class DeviceFinding:
         return target
 
 
-def _write(file: Any, path: Path, sent: Sequence[tuple[float, Any]], bus: str) -> None:
+def _write(file: BinaryIO, path: Path, sent: Sequence[tuple[float, Any]], bus: str) -> None:
     if sent and isinstance(sent[0][1], Frame):
         from aces_bus.recordings.write.candump import CandumpWriter
 
