@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from typing import Protocol as Interface
 
 from ..device.reading import UNKNOWN
-from ..protocol.record import FieldValue
 from .limiter import PUSHES, Bounds
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ class WatchedLine(Interface):
     tripped: str
     is_supervised: bool
 
-    def hand_over(self, value: FieldValue) -> None: ...
+    def hand_over(self, value: Any) -> None: ...
 
     def refuse_more(self, reason: str) -> None: ...
 

@@ -22,7 +22,6 @@ from typing import Any, Self
 from uuid import uuid4
 
 from ..plain_text import printable
-from ..protocol.record import PlainValue
 
 #: The largest message (bytes), how many requests are read together, and the longest name of a program (characters).
 MESSAGE_SIZE, MOST_REQUESTS, NAME_SIZE = 1 << 16, 16, 80
@@ -85,7 +84,7 @@ class Ringing:
             self.close()
             raise
 
-    def wait(self, timeout_s: float) -> dict[str, PlainValue] | None:
+    def wait(self, timeout_s: float) -> dict[str, Any] | None:
         """Wait for the next answer; None when none came in time."""
         end = time.monotonic() + timeout_s
         while select.select([self._socket], (), (), max(0.0, end - time.monotonic()))[0]:
@@ -127,7 +126,7 @@ def _bound(path: Path) -> socket.socket:
     return made
 
 
-def _content(data: bytes) -> dict[str, PlainValue]:
+def _content(data: bytes) -> dict[str, Any]:
     """Return the content of a message; nothing of one that is not ours."""
     try:
         found = json.loads(data)

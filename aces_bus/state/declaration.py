@@ -8,7 +8,6 @@ from typing import Any, Literal, Protocol
 
 import msgspec
 
-from ..protocol.record import FieldValue
 from ..runtime.clock import Clock
 from .errors import StateError, raise_first
 
@@ -88,7 +87,7 @@ class SignalSource(Protocol):
         """True if the signal takes set-points."""
         ...
 
-    def set(self, value: FieldValue) -> None:
+    def set(self, value: Any) -> None:
         """Take a set-point."""
         ...
 
