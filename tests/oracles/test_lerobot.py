@@ -177,9 +177,8 @@ def test_damiao_with_the_fixture(aces_twin: Any) -> None:
         arm.wait(0.02)
     found = bus.sync_read("Present_Position")
     assert found == {"joint_1": pytest.approx(10.0, abs=3.0), "joint_2": pytest.approx(-20.0, abs=3.0)}
-    assert bus.read("Present_Position", "joint_1") == pytest.approx(
-        math.degrees(arm["DAMIAO1"].angle), abs=0.1
-    )
+    position = patiently(lambda: bus.read("Present_Position", "joint_1"))
+    assert position == pytest.approx(math.degrees(arm["DAMIAO1"].angle), abs=0.1)
     bus.disconnect(disable_torque=True)
     assert arm["DAMIAO1"].status == "disabled"
 
