@@ -3,7 +3,7 @@
 1. A frame has 25 bytes: 0F, 22 bytes of channels, lowest bits first, a byte of flags, a last byte. It is its only check.
 2. The last byte is 00, of SBUS2 also 04, 14, 24 or 34: it says which eight of 32 slots sensors may answer in (in the
    2 ms after the frame). Each has a message of its own here, of the same fields.
-3. The line is inverted, 8E2: a serial port needs an inverter, and `parity` and `stopbits` of the bus.
+3. The line is inverted, with even parity and two stop bits: an adapter needs an inverter and these settings.
 
 Sources: Betaflight `rx/sbus_channels.c` (fields, flags, scale), PX4 `lib/rc/sbus.cpp` (last bytes), BrushlessPower
 `SBUS2-Telemetry` (slots).
