@@ -58,6 +58,13 @@ def served(text: str) -> Generator[ServedTwins]:
             thread.join(PATIENCE_S)
 
 
+@contextmanager
+def port_on(channel: dict[str, Any]) -> Generator[Any]:
+    """A port of ours at a bus of python-can, in real time; its callbacks run on a thread of its own."""
+    with Loop("ours") as loop:
+        yield port_of(CanGate(channel, name="ours"), loop)
+
+
 def received(listener: can.BusABC) -> Iterator[can.Message]:
     """What has come."""
     while (message := listener.recv(0.2)) is not None:

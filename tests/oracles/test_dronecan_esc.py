@@ -14,16 +14,13 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.hardware import CanGate
-from aces_bus.hardware.ports import port_of
 from aces_bus.robot import connect, parse_robot
-from aces_bus.runtime.loop import Loop
 from aces_devices.dronecan_esc import EXAMPLE
 from aces_protocols.dronecan.spec import MOST_ESCS, raw_command
 from aces_protocols.dronecan.spec import dronecan as spec
 from tests.oracles.dronecan_bus import BusDriver
 from tests.oracles.foreign import oracle
-from tests.oracles.served import served, wait_until
+from tests.oracles.served import port_on, served, wait_until
 
 dronecan: Any = oracle("dronecan", "dronecan")
 CHANNEL: dict[str, Any] = {"interface": "aces", "channel": "copter", "physics": False}
@@ -109,14 +106,13 @@ def test_our_driver_commands_its_node() -> None:
     text = "\n".join(line for line in EXAMPLE.splitlines() if "BACK" not in line)
     robot, problems = parse_robot(text)
     assert robot is not None, problems
-    with node_of(20, **CHANNEL) as node, Loop("copter") as loop:
+    with node_of(20, **CHANNEL) as node, port_on(CHANNEL) as port:
         node.node_info.name = "an ESC of theirs"
         node.node_info.software_version.major = 7
         node.mode = dronecan.uavcan.protocol.NodeStatus().MODE_OPERATIONAL
         esc = dronecan.uavcan.equipment.esc
         lists: list[list[int]] = []
         node.add_handler(esc.RawCommand, lambda event: lists.append(list(event.message.cmd)))
-        port = port_of(CanGate(CHANNEL, name="arms"), loop)
         with connect(robot, {"arms": port}, rate_hz=50) as rig:
             device: Any = rig.devices["FRONT"]
 

@@ -17,13 +17,10 @@ import pytest
 
 from aces_bus.device import Robot
 from aces_bus.errors import DeviceError
-from aces_bus.hardware import CanGate
-from aces_bus.hardware.ports import port_of
 from aces_bus.robot import connect, parse_robot
-from aces_bus.runtime.loop import Loop
 from aces_devices.j1939_engine import EXAMPLE
 from tests.oracles.foreign import oracle
-from tests.oracles.served import PATIENCE_S, served, wait_until
+from tests.oracles.served import PATIENCE_S, port_on, served, wait_until
 
 j1939: Any = oracle("j1939", "can-j1939")
 TOOL, ENGINE = 0xF9, 0x10
@@ -107,7 +104,7 @@ def robot_of_theirs() -> Robot:
 
 def test_our_driver_reads_and_asks_their_unit() -> None:
     """What it sends is in our signals in SI units; its number and hours come when we ask, in a session and in a frame."""
-    with application(ENGINE, **CHANNEL) as theirs, Loop("engine") as loop:
+    with application(ENGINE, **CHANNEL) as theirs, port_on(CHANNEL) as port:
 
         def answer(source: int, destination: int, pgn: int) -> None:
             if pgn == 65260:
@@ -121,7 +118,6 @@ def test_our_driver_reads_and_asks_their_unit() -> None:
         lamps = {"rsl": j1939.DtcLamp.ON}
         faults = [{"spn": spn, "fmi": fmi, "oc": count} for (spn, fmi), count in FAULTS.items()]
         j1939.Dm1(theirs).start_send(lambda: (dict(lamps), [dict(fault) for fault in faults]), 0.5)
-        port = port_of(CanGate(CHANNEL, name="truck"), loop)
         with connect(robot_of_theirs(), {"truck": port}) as rig:
             device: Any = rig.devices["ENGINE"]
 

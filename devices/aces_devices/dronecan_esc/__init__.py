@@ -217,7 +217,7 @@ class DronecanEsc(Device):
         def steps(job: Job) -> Steps:
             found = yield from self._ask_info()
             return {
-                "name": found.name,
+                "name": found.rest[1 + found.rest[0] :].decode("utf-8", "replace") if found.rest else "",
                 "software": f"{found.software_major}.{found.software_minor}",
                 "hardware": f"{found.hardware_major}.{found.hardware_minor}",
                 "unique_id": found.unique_id.hex().upper(),

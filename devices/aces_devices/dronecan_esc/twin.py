@@ -19,7 +19,7 @@ STATUS_S, NODE_STATUS_S, TIMEOUT_S = 0.05, 1.0, 0.5
 MOST_RPM, FOLLOWS_S = 4000.0, 0.08
 #: Supply (V), current at full throttle (A), temperature (K); choices.
 SUPPLY_V, MOST_A, WARM_K = 24.0, 20.0, 305.0
-NAME = "org.aces.twin.esc"
+NAME = b"org.aces.twin.esc"
 
 
 class EscTwin(Twin):
@@ -104,7 +104,7 @@ class EscTwin(Twin):
         frames = self.variant.encoder.numbered(
             request.meta.frames[0][-1] & 31, "NodeInfo", node=node, host=request.host, priority=request.priority,
             **self.status(), software_major=1, software_minor=2, software_flags=0, software_commit=0, software_crc=0,
-            hardware_major=1, hardware_minor=0, unique_id=bytes(15) + bytes([node]), certificate=b"", name=NAME,
+            hardware_major=1, hardware_minor=0, unique_id=bytes(15) + bytes([node]), rest=b"\0" + NAME,
         )  # fmt: skip
         self.replies += 1
         self.send_raw(tuple(frames))

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Byte, Bytes, Float16l, GreedyBytes, Int16ul, Int32ul, Int64ul, Prefixed, Struct
+from construct import Byte, Bytes, Float16l, GreedyBytes, Int16ul, Int32ul, Int64ul, Struct
 
 from aces_bus.protocol import (
     BitLayout,
@@ -25,7 +25,6 @@ from aces_bus.protocol import (
     Quantity,
     Split,
     TailByte,
-    Text,
     Tuple,
     bits,
 )
@@ -161,10 +160,9 @@ dronecan.message(
         "hardware_major" / Byte,
         "hardware_minor" / Byte,
         "unique_id" / Bytes(16),
-        "certificate" / Prefixed(Byte, GreedyBytes),
-        "name" / Text(),
+        "rest" / GreedyBytes,
     ),
-    doc="Versions and name of a node.",
+    doc="Versions of a node; `rest` is a byte with the size of its certificate, the certificate, and its name.",
     source="protocol/1.GetNodeInfo",
     **_common,
 )

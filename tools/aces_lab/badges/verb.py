@@ -41,7 +41,8 @@ from xml.etree import ElementTree
 import msgspec
 
 from aces_bus import list_protocols, load_protocol
-from aces_bus.device.drivers import load_driver, use_driver_file
+from aces_bus.device import load_driver
+from aces_bus.device.drivers import use_driver_file
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.lint import check_protocol
