@@ -38,7 +38,8 @@ def work_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> in
                 # While another framing waits at the same offset, each chunk has the candidate read again.
                 limit += framing.max_size * chunks
         else:
-            limit += len(traffic) + PER_CANDIDATE * candidates
+            # Each framing sums by itself, and sums anew behind a packet whose check has failed.
+            limit += 2 * len(traffic) + PER_CANDIDATE * candidates
     return limit
 
 

@@ -15,8 +15,9 @@ import pytest
 import serial
 
 from aces_bus import decode
+from aces_devices.laser import WALLS
 from aces_devices.rplidar import EXAMPLE, driver
-from aces_devices.rplidar.twin import NOISE, SERIAL, WALLS
+from aces_devices.rplidar.twin import NOISE, SERIAL
 from aces_protocols.rplidar.spec import EXPRESS, rplidar
 from tests.oracles.foreign import oracle
 from tests.oracles.serial_lines import served_line

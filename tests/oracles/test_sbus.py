@@ -8,6 +8,7 @@ from __future__ import annotations
 import random
 from typing import Any
 
+from aces_bus import decode
 from aces_devices.sbus import EXAMPLE, driver
 from aces_protocols.sbus.spec import CHANNELS, sbus
 from tests.oracles.foreign import oracle
@@ -25,7 +26,7 @@ def test_it_decodes_what_we_encode() -> None:
         assert theirs.SbusDecoder(packet).chans == raw
         data, wanted = data + packet, [*wanted, raw]
     assert [list(record.channels) for record in sbus.scanner(raw=True).feed(data)] == wanted
-    assert sbus.decode(data, raw=True)["Channels"]["channels.15"].to_list() == [raw[15] for raw in wanted]
+    assert decode(data, sbus, raw=True)["Channels"]["channels.15"].to_list() == [raw[15] for raw in wanted]
 
 
 def test_its_reader_reads_our_twin() -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.compiled import BUILD, ROOT, SOURCE_ROOTS
+from hatch_build import ROOTS
+from tests.compiled import BUILD, ROOT
 
 #: What a run depends on.
 COMPARED = ("aces_bus", "protocols", "devices", "tools")
@@ -38,7 +39,7 @@ with tempfile.TemporaryDirectory() as folder:
 @cache
 def outcome(root: Path, hash_seed: int) -> tuple[list[str], str]:
     """Frames, bytes of the log and the digest of both; and whether it was compiled."""
-    paths = os.pathsep.join(str(root / name) for name in SOURCE_ROOTS)
+    paths = os.pathsep.join(str(root / name) for name in ROOTS)
     done = subprocess.run(
         [sys.executable, "-P", "-c", PROGRAM],  # -P: not from the folder that pytest was started in
         env={**os.environ, "PYTHONPATH": paths, "PYTHONHASHSEED": str(hash_seed)},
