@@ -32,7 +32,8 @@ def opened(runtime: Path) -> Iterator[Open]:
     with ExitStack() as stack:
 
         def open_bus(channel: str = "unix:can0", **more: Any) -> ServedBus:
-            bus = can.Bus(channel, "aces", **{"timeout": PATIENCE, **more})
+            options: dict[str, Any] = {"timeout": PATIENCE, **more}
+            bus = can.Bus(channel, "aces", **options)
             assert isinstance(bus, ServedBus)
             return stack.enter_context(bus)
 

@@ -26,6 +26,10 @@ LISTED: dict[str, dict[str, set[str]]] = {
     },
     "damiao": DAMIAO,
     "damiao_fd": DAMIAO,
+    # DroneCAN's float16 is IEEE 754's.
+    "dronecan": {
+        "NaN of half precision": {"EscStatus.voltage", "EscStatus.current", "EscStatus.temperature"}
+    },
     "hubo": {
         # The boards' set-points and duties are sign and magnitude (hubo-ach, hubo-daemon.c).
         "negative zero": {

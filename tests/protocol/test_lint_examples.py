@@ -131,7 +131,14 @@ UNWORKED = {
         "ReceiverLink", "Rpm", "SpeedAnswer", "Temperatures", "Timing", "TransmitterLink", "Vario", "VideoTransmitter",
         "Voltages",
     },
+    "dronecan": {"NodeInfo", *(f"RawCommand{count}" for count in range(1, 21) if count != 4)},
     "rplidar": {"Configuration", "ExpressMeasurements", "GetConfiguration"},
+    "sbf": {"ReceiverSetupRevision1", "ReceiverSetupRevision2", "ReceiverSetupRevision3"},
+    "vectornav_text": {
+        "ACC", "DTV", "Error", "GPE", "GPS", "GYR", "IMU", "INE", "INS", "ISE", "ISL", "KnownAccelerationDisturbance",
+        "KnownMagneticDisturbance", "MAG", "MAR", "QMR", "QTN", "ReadRegister", "Reset", "RestoreFactorySettings",
+        "SendByItself", "SetGyroBias", "Tare", "WriteRegister", "WriteSettings", "YBA", "YIA", "YMR", "YPR",
+    },
 }  # fmt: skip
 
 

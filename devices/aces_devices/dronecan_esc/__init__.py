@@ -67,7 +67,6 @@ class DronecanEsc(Device):
     protocol = "dronecan"
     rules: ClassVar = {raw_command(count): one_list for count in range(1, MOST_ESCS + 1)}
     streams = tuple(rules)
-    sends_every_s = STATUS_S
     actions: ClassVar = {
         "enable": "take set-points from now on",
         "disable": "end set-points, and send 0",
@@ -78,6 +77,11 @@ class DronecanEsc(Device):
         "unknown", "DroneCAN's DSDL states no time-out of RawCommand; firmware has one, or not"
     )
     attributes: ClassVar = Device.attributes | {"settings", "throttle", "command"}
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """Seconds from one of its messages to the next."""
+        return STATUS_S
 
     def setup(self) -> None:
         """Add the signals. Raises `CallerError` for two controllers with one place in the list, and for several joints."""

@@ -38,7 +38,6 @@ class Engine(Device):
     protocol = "j1939"
     when_host_is_lost = HostLoss("nothing moves", "J1939: it is only read and asked")
     one_at_a_time = True
-    sends_every_s = 0.1
     provides = (
         _value("speed", "EngineController1.speed", "rad/s", RPM, QUICK_S, "of the crankshaft"),
         _value(
@@ -74,6 +73,11 @@ class Engine(Device):
     }
     asking = tuple(actions)
     attributes: ClassVar = Device.attributes | {"faults"}
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """Seconds from one of its messages to the next."""
+        return 0.1
 
     def setup(self) -> None:
         """Add the signals of lamps and faults."""

@@ -29,7 +29,11 @@ class Sbus(Device):
 
     protocol = "sbus"
     when_host_is_lost = HostLoss("nothing moves", "a receiver; it is not asked and not set")
-    sends_every_s = FRAME_S
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """Seconds from one of its messages to the next."""
+        return FRAME_S
 
     def setup(self) -> None:
         """Add a signal a channel, and those of the flags."""

@@ -296,7 +296,8 @@ class Vesc(Device):
             self.drop(message)
 
     def _ask(self, packet: str, *, retries: int = 2, confirms: bool = False, **fields: Any) -> Ticket:
-        message, inside = self.wire.request(packet, fields)
+        message, given = self.wire.request(packet, fields)
+        inside: dict[str, Any] = dict(given)
         return self.ask(
             message, reply=self.wire.answers(packet), retries=retries, confirms=confirms, **inside
         )

@@ -257,6 +257,7 @@ def test_who_asks_changes_nothing() -> None:
             for _ in range(20):
                 robot.advance(0.01)
                 if asks:
-                    body.motion_of("imu"), body.wrench_on("LF_foot")
+                    body.motion_of("imu")
+                    body.wrench_on("LF_foot")
             ends.append((body.positions, body.velocities))
     assert ends[0] == ends[1]

@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
                 for name in entry.protocols
             ]
             levels = _results(entry, protocols, named.source, arguments.prove)
-            results = dict(zip(LEVELS, levels, strict=True))
+            results: dict[str, Result] = dict(zip(LEVELS, levels, strict=True))
             failed |= any(result.failed for result in results.values())
             given.append({"entry": entry.title, **{level: _as_json(r) for level, r in results.items()}})
             if not arguments.json:

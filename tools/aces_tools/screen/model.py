@@ -31,7 +31,6 @@ from aces_bus.frames import key_of
 from aces_bus.hardware.gate import Received
 from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
-from aces_bus.protocol import Record
 from aces_bus.protocol.live.scanner import Scanner
 
 from ..output.shape import OfKind
@@ -343,7 +342,7 @@ class Model:
             fd=frame.is_fd,
         )
 
-    def _can_row(self, place: Place, frame: Frame, record: Record, host_ns: int) -> RepeatedFrame:
+    def _can_row(self, place: Place, frame: Frame, record: Any, host_ns: int) -> RepeatedFrame:
         row = self._row(place, frame.channel, record, host_ns)
         row.key = self._key(frame)
         row.identifier = f"{frame.arbitration_id:0{8 if frame.is_extended_id else 3}X}"
@@ -397,7 +396,7 @@ class Model:
 
     # ------------------------------------------------------------------ rows
 
-    def _row(self, place: Place, channel: str | None, record: Record, host_ns: int) -> RepeatedFrame:
+    def _row(self, place: Place, channel: str | None, record: Any, host_ns: int) -> RepeatedFrame:
         self._numbers += 1
         self.generation += 1
         fields = self.fields[type(record)]
