@@ -17,6 +17,7 @@ from aces_bus.robot.physics import physics_of
 MS = 1_000_000
 #: Twins of joints without a motor of `joint_model`, and what they are instead.
 BY_THEMSELVES = {
+    "dronecan_esc": "a rotor that follows its throttle with a time constant",
     "hubovia": "its controller's own kinematics, which no sheet describes",
     "pololu_qik": "wheels that follow a duty with a time constant",
     "roboclaw": "wheels in counts of their encoders",

@@ -50,6 +50,8 @@ def _picture(rows: Sequence[Row]) -> list[str]:
         if not above or edges or above != {0}:
             lines.append(_rule(above, edges, is_first=not above))
         text = "│".join(_fitted(text, width) for width, text in parts)
+        if len(place) > 5:  # the next row says where it ends
+            place = place.partition("…")[0] + "…"
         lines.append(f"{place:>5} │{text}│")
         above = edges | {0}
     lines.append(_rule(above, set(), is_last=True))

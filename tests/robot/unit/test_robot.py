@@ -190,6 +190,8 @@ SILENT: Mapping[str, str] = {
     "VIA_RSP": "the PC answers nothing and has no stop",
     "VIA_LSR": "as VIA_RSP",
     "METER": "its file says no `stop`",
+    "FRONT": "DroneCAN's list of throttles has no answer, and a status has no word for being off",
+    "BACK": "as FRONT",
 }
 
 
