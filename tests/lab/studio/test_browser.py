@@ -225,12 +225,21 @@ def write_car(path: Path) -> None:
 
 
 def drag(driver: Any, first: int, last: int) -> None:
-    """Draw with the mouse from one bit of the grid to another."""
+    """Draw with the mouse from one bit of the grid to another; again where the page has drawn the grid anew meanwhile."""
+    from selenium.common.exceptions import StaleElementReferenceException
     from selenium.webdriver.common.action_chains import ActionChains
 
-    cells = [driver.find_element("css selector", f"[data-bit='{bit}']") for bit in (first, last)]
-    chain = ActionChains(driver, duration=50).move_to_element(cells[0]).click_and_hold()
-    chain.move_to_element(cells[1]).pause(0.1).release().perform()
+    def drawn() -> bool:
+        try:
+            cells = [driver.find_element("css selector", f"[data-bit='{bit}']") for bit in (first, last)]
+            chain = ActionChains(driver, duration=50).move_to_element(cells[0]).click_and_hold()
+            chain.move_to_element(cells[1]).pause(0.1).release().perform()
+        except StaleElementReferenceException:
+            ActionChains(driver).release().perform()
+            return False
+        return True
+
+    eventually(drawn)
 
 
 def labelled(label: str) -> str:
