@@ -25,8 +25,9 @@ def convert(source: PathSource, target: PathSource) -> None:
     >>> import tempfile
     >>> packed = f"{tempfile.mkdtemp()}/walk.log.gz"
     >>> convert("examples/captures/hubo2plus.log", packed)
-    >>> open_recording(packed).packing
-    'gzip'
+    >>> with open_recording(packed) as recording:
+    ...     print(recording.packing, recording.format)
+    gzip candump
     """
     path = os.fspath(target)
     if path == "-":
