@@ -45,7 +45,7 @@ def test_a_notebook_shows_what_happens(path: Path, monkeypatch: pytest.MonkeyPat
         assert printed == "".join(kept.get("stream", {}).get("text", ""))
         data = kept.get("execute_result", {}).get("data", {})
         assert ("" if value is None else repr(value)) == "".join(data.get("text/plain", ""))
-        if "text/html" in data:
+        if value is not None and "text/html" in data:
             assert value._repr_html_() == "".join(data["text/html"])
         assert bool(pyplot.get_fignums()) is ("display_data" in kept)
         pyplot.close("all")
