@@ -28,7 +28,7 @@ class Contact(NamedTuple):
 
 
 class PartMotion(NamedTuple):
-    """How a part of a body lies and moves: what an inertial sensor on it measures.
+    """Attitude and motion of a part of a body, as an inertial sensor on it measures them.
 
     `roll`, `pitch`, `yaw` (rad) turn it about the world's x, y and z axis, in this order. `rates` (rad/s) and `acceleration`
     (m/s²: 9.81 upwards where it rests) are along its own axes.
@@ -42,7 +42,10 @@ class PartMotion(NamedTuple):
 
 
 class PartWrench(NamedTuple):
-    """What acts on a part, beyond the part that carries it (contacts, weight, inertia), along its own axes: N and N·m."""
+    """Force (N) and torque (N·m) between a part and the part that carries it, along its own axes.
+
+    They come from contacts, weight and inertia.
+    """
 
     force: tuple[float, ...]
     torque: tuple[float, ...]
@@ -54,7 +57,7 @@ Axes = Sequence[Sequence[float]]
 
 
 class FeelingPhysics(Protocol):
-    """What a `Physics` offers beside, where sensors are to feel it. A part is named as the sensor in the robot's file."""
+    """A `Physics` whose parts sensors can feel. A part has the name of the sensor in the robot's file."""
 
     def motion_of(self, part: str) -> tuple[Axes, Three, Three] | None:
         """Return a part's axes in the world, its rates (rad/s) and its acceleration, as `PartMotion`; None: no such part."""

@@ -18,9 +18,9 @@ from .write import open_writer, writer_format
 def convert(source: PathSource, target: PathSource) -> None:
     """Write a recording in another format, which the suffix of `target` says, also before `.gz` or `.zst`.
 
-    What the format cannot hold, and what of the source could not be read, is told by warnings; the file appears when it is
-    whole. Raises `CaptureError` for what is no recording, `CallerError` for a target that names no format, holds other
-    traffic (CAN frames, bytes of a serial line) or cannot be written.
+    A warning tells each loss: frames that the format cannot hold, lines of the source that cannot be read. The file appears
+    when it is whole. Raises `CaptureError` for what is no recording, `CallerError` for a target that names no format, holds
+    other traffic (CAN frames, bytes of a serial line) or cannot be written.
 
     >>> import tempfile
     >>> packed = f"{tempfile.mkdtemp()}/walk.log.gz"

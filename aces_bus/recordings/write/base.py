@@ -1,4 +1,4 @@
-"""What writers of recordings share: the file, what the format cannot hold, names and numbers of channels.
+"""The base of writers of recordings: the file, losses of the format, names and numbers of channels.
 
 1. Every loss is counted where it happens, in frames; "channel names" counts names.
 2. Two channels stay two: no name and no number is given twice. What a name becomes depends on the names before it and beside

@@ -150,7 +150,7 @@ class DronecanEsc(Device):
     # ------------------------------------------------------------------ up
 
     def received(self, record: Any, instant: int) -> None:
-        """Take a status; a controller with another place than ours is told."""
+        """Take a status. Emit an alarm where its index is not the one of the robot's file."""
         name = type(record).__name__
         if name == "EscStatus":
             self.is_enabled.update(self.takes_set_points, instant)

@@ -66,9 +66,9 @@ class StudioView(ABC):
     def show(self, row: TrafficRow) -> None:  # noqa: B027  # not every view shows a single row
         """Show a row that was chosen in another view."""
 
+    @abstractmethod
     def save_picture(self, path: str) -> None:
         """Draw the view into a file, SVG or PNG by its suffix. Raises `CallerError`."""
-        raise NotImplementedError
 
     def table(self) -> Mapping[str, Sequence[object]]:
         """Return the rows of the view as columns of the same length."""
